@@ -35,6 +35,15 @@ STILL = 0.15
 """Motion force that is small enough to ignore [m/s^2]."""
 
 
+def share_of_one_place(metres: float, length: float) -> float:
+    """Return the variance of the mean slope over a road, as a share of that of one place.
+
+    length: correlation length of the slope [m].
+    """
+    q = max(metres / length, 1e-3)
+    return 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+
+
 class GravityEvidence:
     """Sums of force and motion over the road."""
 
@@ -81,10 +90,7 @@ class GravityEvidence:
         """Variance of the mean slope over the road driven [rad^2], with all of the motion: no yaw
         is known that would subtract it.
         """
-        q = self.metres / length
-        slope = std * std
-        if q > 1e-3:
-            slope *= 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+        slope = std * std * share_of_one_place(self.metres, length)
         mean2 = float(self._motion @ self._motion) / max(self._weight, 1e-9) ** 2
         return slope + mean2 / GRAVITY**2
 

@@ -37,6 +37,7 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_sums import BlockMotion, BlockSums, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.evidence_gravity import share_of_one_place
 from imucald.mount.signal_blocks import SignalBlock
 
 APART = 20
@@ -289,8 +290,7 @@ class LargeChangeDetector:
         return best
 
     def _tilt_variance(self, axis: int, blocks: int, metres: float) -> float:
-        q = max(metres / self._length, 1e-3)
-        part = 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+        part = share_of_one_place(metres, self._length)
         return float(self._slope[axis] ** 2) * part + TILT_NOISE**2 / blocks
 
     def _best(

@@ -33,6 +33,7 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.block_sums import BlockSums, masked_sums
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.evidence_gravity import share_of_one_place
 from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock
 
@@ -221,8 +222,7 @@ class ZeroStep:
         """
         force, turn, metres = rows[:, :3], rows[:, 3:6], rows[:, 6]
         mean = metres @ force / float(metres.sum())
-        q = max(float(metres.sum()) / self._length, 1e-3)
-        part = 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+        part = share_of_one_place(float(metres.sum()), self._length)
         about = turn @ up
         across = turn - about[:, None] * up
         square = about * about

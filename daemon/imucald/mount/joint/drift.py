@@ -260,42 +260,31 @@ class ZeroDrift:
         if not len(self._onsets):
             return NONE
         d, since = self._drifts, (self._steps - self._onsets) * STEP_S
-        log_usual, _, usual = self._moments(
-            np.minimum(d.warming, d.warmed / np.maximum(since, STEP_S)), self._log[0], since
-        )
-        log, means, squares = self._moments(np.full(len(since), d.rate), self._log[1], since)
-        return Drift(
-            log - float(np.logaddexp(0.0, log_usual)),
-            means[0],
-            squares[0] - _squares(means[0]),
-            means[1],
-            squares[1] - _squares(means[1]),
-            usual[0] * probability(log_usual),
-        )
-
-    def _moments(self, prior: Array, log: Array, since: Array) -> tuple[float, Array, Array]:
-        """Return the log odds of a drift of one kind, and the moments of its size and rate.
-
-        prior: (T,) deviations of the rate for each onset. log: (T,) what came before. since: (T,)
-        seconds since each onset. The moments are (2, 3) means and (2, 3, 3) mean squares.
-        """
-        variance = np.square(prior)[:, None, None]
+        prior = np.empty((2, len(since)))  # of a warm-up, of a fault
+        prior[0], prior[1] = np.minimum(d.warming, d.warmed / np.maximum(since, STEP_S)), d.rate
+        variance = np.square(prior)[:, :, None, None]
         information = self._information + _ONE / variance
-        covariance = np.linalg.inv(information)
-        rate = np.einsum("tij,tj->ti", covariance, self._score)
-        log = log + 0.5 * np.einsum("ti,ti->t", rate, self._score)
-        log -= 0.5 * np.linalg.slogdet(information * variance)[1]
-        share = np.exp(log - log.max())
-        total = float(log.max()) + math.log(float(share.sum()))
-        share /= share.sum()
+        covariance = inverse(information)
+        rate = (covariance @ self._score[:, :, None])[..., 0]
+        log = self._log + 0.5 * (rate * self._score).sum(axis=2)
+        log -= 0.5 * np.log(np.linalg.det(information * variance))
+        share = np.exp(log - log.max(axis=1, keepdims=True))
+        total = share.sum(axis=1)
+        odds = log.max(axis=1) + np.log(total) - _LOG_ONSETS
+        usual, of_drift = share / total[:, None]
         sizes = self._before + rate * since[:, None]
-        each = covariance * np.square(since)[:, None, None]
-        means = np.array([share @ sizes, share @ rate])
-        squares = [
-            np.einsum("t,tij->ij", share, own + _squares(of))
-            for own, of in ((each, sizes), (covariance, rate))
-        ]
-        return total - _LOG_ONSETS, means, np.array(squares)
+        each = covariance * np.square(since)[:, None, None] + _squares(sizes)
+        size, squares = of_drift @ sizes[1], np.tensordot(of_drift, each[1], 1)
+        square = covariance[1] + _squares(rate[1])
+        mean, rates = of_drift @ rate[1], np.tensordot(of_drift, square, 1)
+        return Drift(
+            float(odds[1] - np.logaddexp(0.0, odds[0])),
+            size,
+            squares - _squares(size),
+            mean,
+            rates - _squares(mean),
+            np.tensordot(usual, each[0], 1) * probability(float(odds[0])),
+        )
 
     def axis_of_turning(self) -> tuple[Array, Array]:
         """Return the tilt of the gyroscope's axis of turning against the vertical.

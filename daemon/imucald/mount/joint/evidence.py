@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
@@ -40,7 +39,14 @@ from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift, Drifts, ZeroDrift
 from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, contradiction, fuse
 from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
-from imucald.mount.joint.moves import ROAD_TAIL, SPANS, EntryChange, Move, likeliest_move
+from imucald.mount.joint.moves import (
+    LEAST_BEFORE,
+    ROAD_TAIL,
+    SPANS,
+    EntryChange,
+    Move,
+    likeliest_move,
+)
 from imucald.mount.joint.response import PRIOR_SEGMENTS, SEGMENTS
 from imucald.mount.joint.state import (
     CROSS,
@@ -62,6 +68,7 @@ from imucald.mount.joint.state import (
     own_matrices,
     rate_entry,
     sent_deviations,
+    sent_variance,
     zero_row,
 )
 from imucald.mount.joint.sums import Fits, WindowSums
@@ -162,8 +169,6 @@ in f_x [m], and the gain of the turn rate.
 """
 STEERED_GAIN = 0.2
 """Prior deviation of that gain where turns come from a steering angle: understeer (assumption)."""
-LEAST_BEFORE = 24
-"""Smallest number of windows before a move: six road segments."""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
@@ -240,7 +245,7 @@ class Solution(NamedTuple):
     moved [rad]. housing: R_vehicle_from_sensor (3, 3). turn: rotation of the gyroscope about z
     against the accelerometer [rad]. same: probability that sensor and mount have not changed since
     the last drive. contradiction: chi-square (3) of the mount against that of the last drive; None:
-    none is compared.
+    none is compared. variance: (8,) of sent data, see `state.sent_variance`.
     """
 
     force: Matrix3
@@ -253,6 +258,7 @@ class Solution(NamedTuple):
     turn: float
     same: float
     contradiction: float | None
+    variance: Array
 
     @property
     def is_of_sensors(self) -> bool:
@@ -274,9 +280,7 @@ class Solution(NamedTuple):
         turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of
         a zero that has changed [(m/s^2)^2].
         """
-        made = sent_deviations(self.covariance, turned)
-        x, y, _ = np.sqrt(zero).tolist()
-        return replace(made, zero_x=math.hypot(made.zero_x, x), zero_y=math.hypot(made.zero_y, y))
+        return sent_deviations(self.variance, turned, zero)
 
 
 class Evidence:
@@ -305,6 +309,8 @@ class Evidence:
         self._blocks: list[Block] = []
         self._breaks: set[int] = {0}
         self._axes: Axes | None = None
+        self.rotation: Matrix3 | None = None
+        """R_vehicle_from_sensor (3, 3) of the force, roughly; None before anything shows it."""
         self._taken = np.zeros(UNKNOWNS)
         self._late, self._lever_arm = late, np.array(lever_arm)
         self.delay, self.delay_std = late.mean, math.inf
@@ -349,11 +355,6 @@ class Evidence:
         if self._axes is None:
             return self._past or NO_DRIFT
         return drift.turned(inverse(self._axes[0]))
-
-    @property
-    def rotation(self) -> Matrix3 | None:
-        """R_vehicle_from_sensor (3, 3) of the force, roughly; None before anything shows it."""
-        return None if self._axes is None else orthonormalised(self._axes[0])
 
     @property
     def is_delay_beyond(self) -> bool:
@@ -674,7 +675,7 @@ class Evidence:
         return [*known, *any_sensor(self._priors, PROBABLY_OTHER)]
 
     def _rework(self, force: Matrix3, rate: Matrix3, zero: Array) -> None:
-        self._axes = force, rate, zero
+        self._axes, self.rotation = (force, rate, zero), orthonormalised(force)
         self._reset_windows()
         self._reset_drift()
         self._extend()
@@ -839,29 +840,30 @@ class Evidence:
 
         Returns None if too little is known.
         """
-        spans = SPANS[len(self._sums) - LEAST_BEFORE >= SPANS]
-        if not self.has_fitted or not len(spans):
+        if not self.has_fitted:
             return None
         self._extend()
-        began = self._sums.began(spans)
-        entries = [*self._answers_changed(spans), *self._levels_changed(began)]
-        return likeliest_move(entries, [len(self._blocks) - first for first in began.tolist()])
+        spans = SPANS[self.segment - LEAST_BEFORE >= SPANS]
+        if not len(spans):
+            return None
+        entries = [*self._answers_changed(spans), *self._levels_changed(spans)]
+        return likeliest_move(entries, (len(self._blocks) - self._sums.began(spans)).tolist())
 
     def _answers_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
-        """Return the change of the responses to motion over each of these numbers of last
-        windows.
+        """Return the change of the responses to motion over each of these numbers of last road
+        segments.
         """
-        priors = self._priors
-        size, variance = self._sums.force.changes(spans)
+        priors, force, turning = self._priors, self._sums.force, self._sums.turning
+        size, variance = force.changes(force.by_segment(to_last=True), spans)
         for k, answered in enumerate(self._answered):
             for place, (i, j) in answered:
                 own = variance[k, :, place] + self._left_out(i, j)
                 yield EntryChange(self._answer_row(i, j)[PHI], size[k, :, place], own)
         if not self.signals.gyro:
             return
-        size, variance = self._sums.turning.changes(spans)
+        size, variance = turning.changes(turning.by_segment(to_last=True), spans)
         for i in range(2):
-            roads = priors.turning[i] ** 2 + priors.slope**2 * SEGMENTS[0] / spans
+            roads = priors.turning[i] ** 2 + priors.slope**2 / spans
             own = variance[i, :, 0] + roads
             yield EntryChange(rate_entry(i, 2)[PHI], size[i, :, 0], own, ROAD_TAIL)
 
@@ -873,11 +875,11 @@ class Evidence:
 
     def _series(self) -> list[SegmentSeries]:
         """Return the evidence about the rotation from the working axes, by road segment."""
-        made = []
-        force = self._sums.force.by_segment()
-        turning = self._sums.turning.by_segment() if self.signals.gyro else None
+        made, sums = [], self._sums
+        force = sums.force.scores(sums.force.by_segment())
         shown = [(force, k, *one) for k, answered in enumerate(self._answered) for one in answered]
-        if turning is not None:
+        if self.signals.gyro:
+            turning = sums.turning.scores(sums.turning.by_segment())
             shown += [(turning, i, 0, (i, 2)) for i in range(2)]
         for fit, k, place, (i, j) in shown:
             name = ANSWERS[i, j]
@@ -900,10 +902,7 @@ class Evidence:
 
     def _level_series(self) -> list[SegmentSeries]:
         """Return the evidence of the level force, by the same road segments."""
-        ends = self._sums.ends()
-        levels = self._levels[: ends[-1] + 1, :4] / [GRAVITY, GRAVITY, 1.0, 1.0]
-        starts = np.concatenate([[0], ends[:-1] + 1])
-        along, across, weight, metres = np.add.reduceat(levels, starts).T
+        along, across, weight, metres = self._levels_by_segment().T
         known = (1.0 + metres / SLOPE_M) / self._priors.slope**2 * (weight > 0.0)
         made = []
         for i, (name, level) in enumerate(zip(LEVELS, (along, across), strict=True)):
@@ -912,20 +911,31 @@ class Evidence:
             made.append(SegmentSeries(name, left, known, self.variances[name]))
         return made
 
-    def _levels_changed(self, began: NDArray[np.int_]) -> Iterator[EntryChange]:
-        """Return the change of the level force from each of these blocks on."""
-        levels = self._levels[:, :4] / [GRAVITY, GRAVITY, 1.0, 1.0]
-        before, of_before = mean_slope(levels[: began[-1]], self._priors.slope)
-        after = [mean_slope(levels[first:], self._priors.slope) for first in began]
+    def _levels_by_segment(self, to_last: bool = False) -> Array:
+        """Return sums (S, 4) of the level force over g, the weight and metres.
+
+        to_last: as in `response.segments_of`.
+        """
+        ends = self._sums.ends(to_last)
+        starts = np.concatenate([[0], ends[:-1] + 1])
+        levels = np.add.reduceat(self._levels[: ends[-1] + 1, :4], starts)
+        return np.asarray(levels / [GRAVITY, GRAVITY, 1.0, 1.0])
+
+    def _levels_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
+        """Return the change of the level force over each of these numbers of last segments."""
+        levels = self._levels_by_segment(to_last=True)
+        began = (len(levels) - spans).tolist()
+        parts = [(0, began[-1]), *((first, len(levels)) for first in began)]
+        means, variances = mean_slopes(levels, np.array(parts), self._priors.slope)
         for i in range(2):
-            size = np.array([mean[i] - before[i] for mean, _ in after])
-            variance = np.array([own[i] + of_before[i] for _, own in after])
+            size, variance = means[1:, i] - means[0, i], variances[1:, i] + variances[0, i]
             yield EntryChange(level_row(i)[PHI], size, variance, ROAD_TAIL)
 
     def _level_measured(self) -> list[LinearMeasurement]:
         priors = self._priors
         levels = self._levels[:, :5] / [GRAVITY, GRAVITY, 1.0, 1.0, GRAVITY]
-        mean, variance = mean_slope(levels[:, :4], priors.slope)
+        whole = np.array([[0, len(levels)]])
+        (mean,), (variance,) = mean_slopes(levels[:, :4], whole, priors.slope)
         if self.signals.bend:
             mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
         if not self.signals.speed:  # the mean of dv/dt is as uncertain as the speed at the end
@@ -986,6 +996,7 @@ class Evidence:
         return Solution(
             solved(E, W), solved(C, V), solved(E, zero + shift),
             covariance, self.delay, moved, turned.T @ self._rotation, turn, same, against,
+            sent_variance(covariance),
         )  # fmt: skip
 
 
@@ -1013,26 +1024,35 @@ def _leaning(lateral: Array, accel: Array) -> Array:
     )
 
 
-def mean_slope(blocks: Array, slope: float) -> tuple[Array, Array]:
-    """Return the mean (2,) of the slopes of roads, and its variance (2,).
+def mean_slopes(blocks: Array, parts: NDArray[np.int_], slope: float) -> tuple[Array, Array]:
+    """Return the means (K, 2) of the slopes of roads, and their variances (K, 2).
 
-    blocks: (n, 4) per block the weighted sums along and across, the weight, and metres. slope:
-    expected deviation of a road's slope. Slopes that last longer than expected widen the spread
-    between stretches, as in `response`.
+    blocks: (n, 4) per block the weighted sums along and across, the weight, and metres. parts: (K,
+    2) first block and end of each mean. slope: expected deviation of a road's slope. Slopes that
+    last longer than expected widen the spread between stretches, as in `response`.
     """
-    *level, weight, metres = blocks.sum(axis=0).tolist()
-    mean = np.array(level) / max(weight, 1e-9)
+    sums = np.zeros((len(blocks) + 1, 4))
+    np.cumsum(blocks, axis=0, out=sums[1:])
+    starts, stops = parts[:, :1], parts[:, 1:]
+    level, weight, metres = np.split(sums[parts[:, 1]] - sums[parts[:, 0]], (2, 3), axis=1)
+    mean = level / np.maximum(weight, 1e-9)
     expected = slope**2 / (1.0 + metres / SLOPE_M)
-    off = blocks[:, :2] - mean * blocks[:, 2:3]
-    grow = np.ones(2)
+    at = np.arange(len(blocks))
+    inside = (at >= starts) & (at < stops)
+    off = (blocks[:, :2].T - mean[:, :, None] * blocks[:, 2]) * inside[:, None]
+    passed = np.where(inside, sums[1:, 3] - sums[starts, 3], 0.0)
+    rows = np.arange(2 * len(parts)).reshape(-1, 2, 1)
+    grow = np.ones(mean.shape)
     for length in (SLOPE_M, 4.0 * SLOPE_M):
-        place = (np.cumsum(blocks[:, 3]) / length).astype(int)
-        n = int(place[-1]) + 1 if len(place) else 0
-        if n > 1:
-            each = np.array([np.bincount(place, part, n) for part in off.T])
-            found = (each**2).sum(axis=1) + (each[:, 1:] * each[:, :-1]).sum(axis=1)
-            ratio = found * n / (n - 1.0) / weight**2 / expected
-            grow = np.maximum(grow, (PRIOR_SEGMENTS + n * ratio) / (PRIOR_SEGMENTS + n))
+        place = (passed / length).astype(int)
+        n = place.max(axis=1)[:, None] + 1.0
+        most = int(n.max())
+        at_place = (rows * most + place[:, None]).ravel()
+        each = np.bincount(at_place, off.ravel(), rows.size * most).reshape(-1, 2, most)
+        found = (each**2).sum(axis=2) + (each[:, :, 1:] * each[:, :, :-1]).sum(axis=2)
+        ratio = found * n / np.maximum(n - 1.0, 1.0) / np.maximum(weight, 1e-9) ** 2 / expected
+        found_grow = (PRIOR_SEGMENTS + n * ratio) / (PRIOR_SEGMENTS + n)
+        grow = np.where(n > 1.0, np.maximum(grow, found_grow), grow)
     return mean, expected * grow
 
 

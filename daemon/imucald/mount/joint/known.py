@@ -41,6 +41,7 @@ from imucald.mount.joint.state import (
     are_of_a_sensor,
     own_matrices,
     sent_deviations,
+    sent_variance,
 )
 from imucald.mount.priors import BIAS_DRIFT_STD
 
@@ -177,7 +178,7 @@ class KnownSensor(NamedTuple):
         """Return the deviations that this correction leaves in the samples, in the earlier
         mount.
         """
-        return sent_deviations(self._about(self.rotation, Priors())[1])
+        return sent_deviations(sent_variance(self._about(self.rotation, Priors())[1]))
 
     def plain(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -22,10 +22,12 @@ from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import FALSE_ALARM_H, probability
+from imucald.mount.joint.response import SEGMENTS
 
-SPANS: Final = np.array((4, 8, 12, 16, 20, 24, 32, 40, 52, 64))
-"""Numbers of windows since a move that are tested (26 s to 7 min of driving). `sums` stores these
-windows one by one."""
+SPANS: Final = np.array((1, 2, 3, 4, 5, 6, 8, 10, 13, 16))
+"""Numbers of whole road segments since a move that are tested (26 s to 7 min of driving)."""
+LEAST_BEFORE = 6
+"""Smallest number of road segments before a move."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
 """Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads
@@ -36,7 +38,7 @@ ANSWER_TAIL, ROAD_TAIL = 8.0, 30.0
 
 Wind comes in stretches; the variance already contains the length of stretches of road.
 """
-_LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SPANS[0] * BLOCK_TICKS * TICK_S))
+_LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SEGMENTS[0] * BLOCK_TICKS * TICK_S))
 
 
 class EntryChange(NamedTuple):
@@ -49,15 +51,6 @@ class EntryChange(NamedTuple):
     size: Array
     variance: Array
     tail: float = ANSWER_TAIL
-
-    def log(self, turns: Array) -> Array:
-        """Return the log likelihood (S, n) of n rotations about an axis.
-
-        turns: (n,) decrease of the entry for each rotation.
-        """
-        off = self.size[:, None] + turns
-        ratio = off * off / (self.tail * self.variance[:, None])
-        return np.asarray(-0.5 * (self.tail + 1.0) * np.log1p(ratio))
 
 
 class Move(Struct, frozen=True):
@@ -90,11 +83,12 @@ def likeliest_move(entries: Sequence[EntryChange], blocks: Sequence[int]) -> Mov
 
     blocks: blocks since the beginning of each span.
     """
-    log = np.zeros((3, len(blocks), len(SIZES)))
-    for entry in entries:
-        none = entry.log(np.zeros(1))
-        for axis in np.flatnonzero(entry.turn).tolist():
-            log[axis] += entry.log(entry.turn[axis] * SIZES) - none
+    turn, change, variance, tails = (np.array(x) for x in zip(*entries, strict=True))
+    tail = tails[:, None, None, None]
+    spread = tail * variance[:, None, :, None]
+    off = change[:, None, :, None] + turn[:, :, None, None] * SIZES
+    usual = spread + np.square(change[:, None, :, None])
+    log = -0.5 * ((tail + 1.0) * np.log((spread + off * off) / usual)).sum(axis=0)
     most = float(log.max())
     share = np.exp(log - most)
     log_odds = most + math.log(share.sum() / (3 * len(SIZES))) - _LOG_BEGINNINGS

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, inverse, solved
+from imucald.core.arrays import Array, inverse
 from imucald.drive.windows import BAND, BANDS, OVERLAP
 
 SEGMENTS: Final = (4, 16)
@@ -63,7 +63,7 @@ class Responses(NamedTuple):
     number of segments.
 
     vector: (F, 1 + p) factors that turn a window's columns into its residual. noise: (F, BANDS),
-    infinite in bands that do not count.
+    infinite in bands that do not count. trust: (F, n) weight of each window that these show.
     """
 
     value: Array
@@ -71,6 +71,7 @@ class Responses(NamedTuple):
     segments: Array
     vector: Array
     noise: Array
+    trust: Array
 
 
 def trust_in(left: Array, noise: Array) -> Array:
@@ -87,18 +88,14 @@ def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
     return np.asarray(np.maximum(made, 1e-12 * rows[..., 0] + 1e-15))
 
 
-def trust_of_last(rows: Array, old: int, last: Responses, noise: Array, packing: Packing) -> Array:
-    """Return the weight (F, n) of windows from an earlier result. The sums of the `old` first
-    windows already contain their weights.
+def segments_of(old: int, rows: int, to_last: bool = False) -> NDArray[np.int_]:
+    """Return the road segment (rows,) of each row, the first `old` of which are segments.
+
+    to_last: segments end with the last row; otherwise they begin with the first after the old ones.
     """
-    trust = np.ones(rows.shape[:2])
-    trust[:, old:] = trust_in(left_of(rows[:, old:], last.vector, packing), noise)
-    return trust
-
-
-def segments_of(old: int, rows: int) -> NDArray[np.int_]:
-    """Return the road segment (rows,) of each row, the first `old` of which are segments."""
-    return np.concatenate([np.arange(old), old + np.arange(rows - old) // SEGMENTS[0]])
+    length, single = SEGMENTS[0], np.arange(rows - old)
+    shift = -(rows - old) % length if to_last else 0
+    return np.concatenate([np.arange(old), old + (single + shift) // length])
 
 
 def grown(ratio: Array, segments: Array | int) -> Array:
@@ -117,32 +114,31 @@ def respond(
     spread: Array,
     keep: int,
     bands: NDArray[np.bool_],
-    last: Responses | None = None,
+    noise: Array | None = None,
+    trust: Array | None = None,
 ) -> Responses:
     """Fit column 0 on the others, in F fits at once.
 
     rows: (F, n, BANDS, size) packed, the first `old` of them road segments. counts: (F, n) windows
     in each, by weight. usual: (F, BANDS) expected noise. spread: (F, p) prior deviations. keep:
-    number of coefficients to return. bands: bands that count. last: the previous result, from most
-    of these windows.
+    number of coefficients to return. bands: bands that count. noise, trust: those of the previous
+    fit, if it was of most of these windows.
     """
     fits, p = len(rows), packing.columns - 1
     bins = np.where(bands, _BINS, 0.0)
     usual = np.where(bands, usual, np.inf)
     flat = rows.reshape(fits, -1, packing.size)
     prior = np.eye(p) / np.square(spread)[:, None]
-    noise = usual
-    trust = np.ones(rows.shape[:2])
-    if last is not None:
-        noise = np.where(bands & np.isfinite(last.noise), last.noise, usual)
-        trust = trust_of_last(rows, old, last, noise, packing)
+    passes = PASSES if trust is None else MORE_PASSES
+    trust = np.ones(rows.shape[:2]) if trust is None else trust.copy()
+    noise = usual if noise is None else np.where(bands & np.isfinite(noise), noise, usual)
     values = 2.0 * bins.sum() / OVERLAP
     one = np.ones((fits, 1))
-    for _ in range(PASSES if last is None else MORE_PASSES):
+    for _ in range(passes):
         weight = (2.0 / OVERLAP) * trust[:, :, None] / noise[:, None]
         total = packing.matrices((weight.reshape(fits, 1, -1) @ flat)[:, 0])
-        information = total[:, 1:, 1:] + prior
-        beta = solved(information, total[:, 1:, :1])[:, :, 0]
+        covariances = inverse(total[:, 1:, 1:] + prior)
+        beta = (covariances @ total[:, 1:, :1])[:, :, 0]
         vector = np.concatenate([one, -beta], axis=1)
         left = left_of(rows, vector, packing)
         n = (trust * counts).sum(axis=1)
@@ -152,7 +148,6 @@ def respond(
         trust[:, old:] = trust_in(left[:, old:], noise)  # in the sums of old ones it is already
     each = (weight[:, :, None] @ rows)[:, :, 0]
     scores = (packing.matrices(each) @ vector[:, None, :, None])[:, :, 1:, 0]
-    covariances = inverse(information)
     model = covariances[:, :keep, :keep]
     variance = np.diagonal(model, axis1=1, axis2=2)
     segment = segments_of(old, rows.shape[1])
@@ -174,7 +169,7 @@ def respond(
     grow = np.maximum(grown(ratio, segments), 1.0) * student
     root = np.sqrt(grow)
     covariance = np.asarray(model * root[:, :, None] * root[:, None], dtype=float)
-    return Responses(np.asarray(beta[:, :keep], float), covariance, segments, vector, noise)
+    return Responses(np.asarray(beta[:, :keep], float), covariance, segments, vector, noise, trust)
 
 
 def _effective_segments(

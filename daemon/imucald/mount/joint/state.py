@@ -181,15 +181,24 @@ def level_row(i: int) -> Array:
     return row
 
 
-def sent_deviations(covariance: Array, turned: Array = NO_TURN) -> SentDeviations:
-    """Return the deviations from the unknowns' covariance.
-
-    turned: variance (3,) of a further rotation of both sensors [rad^2].
+def sent_variance(covariance: Array) -> Array:
+    """Return the variances (8,) of the sent data's entries, in the order of SentDeviations, with
+    zeros over g. covariance: (UNKNOWNS, UNKNOWNS) of the unknowns.
     """
-    variance = ((_SENT @ covariance) * _SENT).sum(axis=1)
-    std = np.sqrt(np.maximum(variance, 0.0) + np.square(_SENT[:, PHI]) @ turned)
-    std[4:6] *= GRAVITY
-    return SentDeviations(*std.tolist())
+    return np.asarray(np.maximum(((_SENT @ covariance) * _SENT).sum(axis=1), 0.0))
+
+
+def sent_deviations(
+    variance: Array, turned: Array = NO_TURN, zero: Array = NO_TURN
+) -> SentDeviations:
+    """Return the deviations from the variances (8,).
+
+    turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of a
+    zero that has changed [(m/s^2)^2].
+    """
+    variance = variance + _TURNED @ turned
+    variance[4:6] = GRAVITY**2 * variance[4:6] + zero[:2]
+    return SentDeviations(*np.sqrt(variance).tolist())
 
 
 _SENT: Final = np.array(
@@ -200,3 +209,4 @@ _SENT: Final = np.array(
     ]
 )
 """Rows of the deviations of sent data, in the order of SentDeviations."""
+_TURNED: Final = np.square(_SENT[:, PHI])

@@ -23,7 +23,6 @@ from imucald.mount.joint.response import (
     respond,
     segments_of,
     trust_in,
-    trust_of_last,
 )
 
 Complex = NDArray[np.complex128]
@@ -58,16 +57,22 @@ class FitSums:
     def __init__(self, fits: Fits) -> None:
         self._fits = fits
         self._packing = Packing(len(fits.columns[0]))
-        self._rows = np.zeros((len(fits.columns), 0, wd.BANDS, self._packing.size))
+        self._store = np.zeros((len(fits.columns), ROUND, wd.BANDS, self._packing.size))
         self._counts = np.zeros((len(fits.columns), 0))
+        self._trust = np.zeros((len(fits.columns), 0))  # by the last fit; the old rows hold theirs
         self._old = 0
         self._last: Responses | None = None
         self.has_fitted = False  # these windows, or most of them
 
     def restart(self) -> None:
         """Forget all windows, but keep the learnt noise."""
-        self._rows, self._counts, self._old = self._rows[:, :0], self._counts[:, :0], 0
+        self._counts, self._trust, self._old = self._counts[:, :0], self._trust[:, :0], 0
         self.has_fitted = False
+
+    @property
+    def _rows(self) -> Array:
+        """The rows in use (F, n, BANDS, size)."""
+        return self._store[:, : self._counts.shape[1]]
 
     @property
     def noise(self) -> Array:
@@ -78,24 +83,39 @@ class FitSums:
 
     def add(self, products: Array) -> None:
         """Take windows (n, BANDS, columns, columns)."""
-        new = np.array([self._packing.of(products, columns) for columns in self._fits.columns])
-        self._rows = np.concatenate([self._rows, new], axis=1)
-        self._counts = np.concatenate([self._counts, np.ones(new.shape[:2])], axis=1)
-        while self._last is not None and self._rows.shape[1] - self._old >= RECENT + ROUND:
-            self._put_together(self._last)
+        new = np.ones((len(self._store), len(products)))
+        at, stop = self._counts.shape[1], self._counts.shape[1] + len(products)
+        if stop > self._store.shape[1]:  # room for more than these: copying takes time
+            room = np.zeros((len(new), stop - at + ROUND, *self._store.shape[2:]))
+            self._store = np.concatenate([self._rows, room], axis=1)
+        for i, columns in enumerate(self._fits.columns):
+            self._store[i, at:stop] = self._packing.of(products, columns)
+        self._counts = np.concatenate([self._counts, new], axis=1)
+        if (last := self._last) is not None:
+            rows = self._store[:, at:stop]
+            new = trust_in(left_of(rows, last.vector, self._packing), last.noise)
+        self._trust = np.concatenate([self._trust, new], axis=1)
+        while last is not None and self._rows.shape[1] - self._old >= RECENT + ROUND:
+            self._put_together()
 
-    def _put_together(self, last: Responses) -> None:
+    def _put_together(self) -> None:
         at, stop = self._old, self._old + ROUND
         rows, length = self._rows[:, at:stop], SEGMENTS[0]
-        trust = trust_in(left_of(rows, last.vector, self._packing), last.noise)
+        trust = self._trust[:, at:stop]
         by_segment = (len(rows), -1, length)
         sums = (trust[:, :, None, None] * rows).reshape(*by_segment, *rows.shape[2:]).sum(axis=2)
-        counts = trust.reshape(by_segment).sum(axis=2)
-        put = [self._rows[:, :at], sums, self._rows[:, stop:]]
-        self._rows = np.concatenate(put, axis=1)
-        put = [self._counts[:, :at], counts, self._counts[:, stop:]]
-        self._counts = np.concatenate(put, axis=1)
         self._old += sums.shape[1]
+        rows[:, : sums.shape[1]] = sums
+        self._counts[:, at : self._old] = trust.reshape(by_segment).sum(axis=2)
+        self._trust[:, at : self._old] = 1.0
+        self._leave_out(self._old, stop)
+
+    def _leave_out(self, first: int, stop: int) -> None:
+        """Forget these rows."""
+        kept = self._rows[:, stop:].copy()
+        self._counts = np.delete(self._counts, slice(first, stop), axis=1)
+        self._trust = np.delete(self._trust, slice(first, stop), axis=1)
+        self._rows[:, first:] = kept
 
     def drop(self, windows: int) -> None:
         """Forget this many of the first windows. Old windows are forgotten only in whole rounds."""
@@ -103,24 +123,41 @@ class FitSums:
         rows = segments
         if segments == self._old:
             rows += windows - segments * SEGMENTS[0]
-        self._rows, self._counts = self._rows[:, rows:].copy(), self._counts[:, rows:]
+        self._leave_out(0, rows)
         self._old -= segments
         self.has_fitted = self.has_fitted and self._rows.shape[1] > 0
 
-    def changes(self, spans: NDArray[np.int_]) -> tuple[Array, Array]:
-        """Return changes (F, S, keep) of the coefficients over the last so many windows (S,), and
+    def by_segment(self, to_last: bool = False) -> Array:
+        """Return the information (F, S, columns, columns) of each road segment.
+
+        Weights and noise are those of the last fit; later windows are included too. to_last: as in
+        `segments_of`.
+        """
+        last = self._last
+        assert last is not None
+        weight = (2.0 / OVERLAP) * self._trust[:, :, None] / last.noise[:, None]
+        rows = (weight[:, :, None] @ self._rows)[:, :, 0]
+        segment = segments_of(self._old, rows.shape[1], to_last)
+        starts = np.flatnonzero(np.diff(segment, prepend=-1))
+        return self._packing.matrices(np.add.reduceat(rows, starts, axis=1))
+
+    def scores(self, G: Array) -> tuple[Array, Array]:
+        """Return the residual scores (F, S, keep) of the coefficients in each road segment, and
+        their informations. G: as `by_segment` returns it.
+        """
+        assert self._last is not None
+        kept = slice(1, 1 + self._fits.keep)
+        scores = (G[:, :, kept] @ self._last.vector[:, None, :, None])[..., 0]
+        return scores, np.diagonal(G[:, :, kept, kept], axis1=2, axis2=3)
+
+    def changes(self, G: Array, spans: NDArray[np.int_]) -> tuple[Array, Array]:
+        """Return changes (F, B, keep) of the coefficients over the last so many segments (B,), and
         their variances.
 
-        Each change is fitted together with all constant coefficients.
-
-        Noise and weights are those of the last fit; later windows are included too.
+        Each change is fitted together with all constant coefficients. G: as `by_segment` returns
+        it.
         """
-        last, keep, pack = self._last, self._fits.keep, self._packing
-        assert last is not None
-        trust = trust_of_last(self._rows, self._old, last, last.noise, pack)
-        weight = (2.0 / OVERLAP) * trust[:, :, None] / last.noise[:, None]
-        G = pack.matrices((weight[:, :, None] @ self._rows)[:, :, 0])
-        total = G.sum(axis=1)
+        keep, total = self._fits.keep, G.sum(axis=1)
         p = total.shape[-1] - 1
         C = inverse(total[:, 1:, 1:] + np.eye(p) / np.square(self._fits.spread)[:, None])
         beta = C @ total[:, 1:, :1]
@@ -132,58 +169,42 @@ class FitSums:
         covariance = inverse(known + NOTHING * (1.0 + total[:, None, 1:2, 1:2]) * np.eye(keep))
         size = covariance @ (after[:, :, 1 : 1 + keep] @ vector[:, None])
         off = beta[:, None] - moved @ size  # of all that came before
-        grow = self._grown_before(G, C[:, :keep], off[..., 0], spans)
+        grow = _grown_before(G, C[:, :keep], off[..., 0], G.shape[1] - spans)
         return size[..., 0], np.abs(np.diagonal(covariance, axis1=2, axis2=3)) * grow
-
-    def _grown_before(self, G: Array, C: Array, off: Array, spans: NDArray[np.int_]) -> Array:
-        """Return the factor (F, S, keep) by which the spread between road segments exceeds the
-        expected one.
-
-        The factor is computed from windows (F, n, columns, columns) before each span.
-
-        C: (F, keep, p) rows of the covariance. off: (F, S, p) the coefficients at that time.
-        """
-        n = G.shape[1]
-        seen = C[:, None] @ G[:, :, 1:]
-        scores = seen[..., :1] - seen[..., 1:] @ off[:, None].swapaxes(2, 3)  # (F, n, keep, S)
-        expected = (seen[..., 1:] * C[:, None]).sum(axis=3)
-        segment = segments_of(self._old, n)
-        grow = np.ones((len(G), len(spans), C.shape[1]))
-        for length in SEGMENTS:
-            place = segment * SEGMENTS[0] // length
-            starts = np.flatnonzero(np.diff(place, prepend=-1))
-            square = np.square(np.add.reduceat(scores, starts, axis=1)).cumsum(axis=1)
-            usual = np.add.reduceat(expected, starts, axis=1).cumsum(axis=1)
-            whole = np.searchsorted(starts, n - spans, side="right") - 1  # segments before each
-            k = np.flatnonzero(whole > 0)
-            of_span = square[:, whole[k] - 1, :, k].swapaxes(0, 1)
-            ratio = of_span / np.maximum(usual[:, whole[k] - 1], NOTHING)
-            grow[:, k] = np.maximum(grow[:, k], grown(ratio, whole[k, None]))
-        return grow
-
-    def by_segment(self) -> tuple[Array, Array]:
-        """Return the residual scores (F, S, keep) of the coefficients in each road segment, and
-        their informations, with the weights and noise of the last fit.
-        """
-        last, keep, pack = self._last, self._fits.keep, self._packing
-        assert last is not None
-        trust = trust_of_last(self._rows, self._old, last, last.noise, pack)
-        weight = (2.0 / OVERLAP) * trust[:, :, None] / last.noise[:, None]
-        segment = segments_of(self._old, self._rows.shape[1])
-        starts = np.flatnonzero(np.diff(segment, prepend=-1))
-        rows = (weight[:, :, None] @ self._rows)[:, :, 0]
-        G = pack.matrices(np.add.reduceat(rows, starts, axis=1))
-        scores = (G[:, :, 1 : 1 + keep] @ last.vector[:, None, :, None])[..., 0]
-        known = np.diagonal(G[:, :, 1 : 1 + keep, 1 : 1 + keep], axis1=2, axis2=3)
-        return scores, known
 
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
         """Return the fits on all windows. bands: bands that count."""
         _, usual, spread, keep = self._fits
-        last = self._last if self.has_fitted else None
         args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
-        self._last, self.has_fitted = respond(*args, last), True
-        return self._last
+        last = (self.noise, self._trust) if self.has_fitted else ()
+        self._last = found = respond(*args, *last)
+        self._trust, self.has_fitted = found.trust, True
+        return found
+
+
+def _grown_before(G: Array, C: Array, off: Array, began: NDArray[np.int_]) -> Array:
+    """Return the factor (F, B, keep) by which the spread between road segments exceeds the expected
+    one.
+
+    The factor is computed from segments (F, S, columns, columns) before each of these (B,).
+
+    C: (F, keep, p) rows of the covariance. off: (F, B, p) the coefficients at that time.
+    """
+    seen = C[:, None] @ G[:, :, 1:]
+    scores = seen[..., :1] - seen[..., 1:] @ off[:, None].swapaxes(2, 3)  # (F, S, keep, B)
+    expected = (seen[..., 1:] * C[:, None]).sum(axis=3)
+    grow = np.ones((len(G), len(began), C.shape[1]))
+    for length in SEGMENTS:
+        joined = length // SEGMENTS[0]
+        starts = np.arange(0, G.shape[1], joined)
+        square = np.square(np.add.reduceat(scores, starts, axis=1)).cumsum(axis=1)
+        usual = np.add.reduceat(expected, starts, axis=1).cumsum(axis=1)
+        whole = began // joined  # segments before each
+        k = np.flatnonzero(whole > 0)
+        of_span = square[:, whole[k] - 1, :, k].swapaxes(0, 1)
+        ratio = of_span / np.maximum(usual[:, whole[k] - 1], NOTHING)
+        grow[:, k] = np.maximum(grow[:, k], grown(ratio, whole[k, None].astype(float)))
+    return grow
 
 
 class WindowSums:
@@ -232,15 +253,18 @@ class WindowSums:
         self._cross, self._power = self._cross[gone:], self._power[gone:]
         self._shared = self._shared[gone:]
 
-    def began(self, spans: NDArray[np.int_]) -> NDArray[np.int_]:
-        """Return the first block (S,) of the last windows, for each number of windows (S,)."""
-        return np.asarray(self._blocks[len(self._blocks) - spans] - (wd.WINDOW // wd.BLOCK - 1))
+    def began(self, segments: NDArray[np.int_]) -> NDArray[np.int_]:
+        """Return the first block (S,) of so many road segments (S,) that end with the last
+        window.
+        """
+        first = self._blocks[len(self._blocks) - SEGMENTS[0] * segments]
+        return np.asarray(first - (wd.WINDOW // wd.BLOCK - 1))
 
-    def ends(self) -> NDArray[np.int_]:
-        """Return the last block of each road segment (S,)."""
-        length = SEGMENTS[0]
-        last = np.arange(length - 1, len(self._blocks) + length - 1, length)
-        return self._blocks[np.minimum(last, len(self._blocks) - 1)]
+    def ends(self, to_last: bool = False) -> NDArray[np.int_]:
+        """Return the last block of each road segment (S,). to_last: as in `segments_of`."""
+        length, n = SEGMENTS[0], len(self._blocks)
+        first = (n - 1) % length if to_last else length - 1
+        return self._blocks[np.minimum(np.arange(first, n + first, length), n - 1)]
 
     @property
     def followed(self) -> tuple[Complex, Array]:
