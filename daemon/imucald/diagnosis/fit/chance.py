@@ -43,7 +43,7 @@ def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
     """Return the structures to report: large effects whose chance is at most a certain level. The
     level is the largest at which the expected number of false reports is 1 % of all reports at that
-    level. Of each signal and kind only the largest is reported.
+    level. Of each signal and kind only the most certain is reported.
 
     At a level a, the chance of a false report of the i-th question is at most min(a, its chance to
     look large). The sum of these chances over the number of reports is the false-discovery rate
@@ -58,7 +58,5 @@ def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
         if float(np.minimum(may, q.p).sum()) <= k * FALSE_SHARE:
             sure = k
     for q in large[:sure]:
-        at = q.structure.signal, q.structure.kind
-        if at not in found or q.structure.size > found[at].size:
-            found[at] = q.structure
+        found.setdefault((q.structure.signal, q.structure.kind), q.structure)
     return list(found.values())

@@ -14,13 +14,25 @@ from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 SMOOTH_S = 1.0
 """Turning and braking manoeuvres last longer than this."""
 CRAWL_MPS = 3.0
+SHAKEN_S = (3.0, 10.0)
+"""Lengths of time over which vibration is averaged, up to those that a segment's tilt absorbs."""
+LARGE = (1.0, 2.0)
+"""Levels, in multiples of the rms, above which a value may leave an after-effect: octaves, so one
+lies within a factor of 1.4 of most true levels."""
 AFTER_STOP_S = 60.0
 MEMORY_S = 20.0
 """Time constant of the memory: between the length of a bend and that of a segment."""
 SPEEDS = ("the speed", "crawling", "the time since standing")
-EITHER_WAY = ("accelerating and braking", "the last strong acceleration")
-TO_ONE_SIDE = ("the side it turns to", "the last strong turning")
+EITHER_WAY = (
+    "accelerating and braking", *(f"the last acceleration of {n:g} times the usual" for n in LARGE)
+)  # fmt: skip
+TO_ONE_SIDE = (
+    "the side it turns to", *(f"the last turning of {n:g} times the usual" for n in LARGE)
+)  # fmt: skip
 """Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
+STAMPS = "the distance of its time stamps from an even cycle"
+PAUSE_S = 10.0
+"""After a longer gap a sender starts again at any phase of its cycle."""
 ENDS = (0.05, 0.95)
 BEYOND = 0.5
 """Distance to which a condition is followed beyond the two percentiles, relative to their
@@ -40,8 +52,10 @@ def conditions(f: Forward) -> dict[str, Array]:
     made |= _of(_accelerating(f), moves, "acceleration", EITHER_WAY[0])
     if f.has_turning:
         made |= _of(_smooth(f.yaw_rate()), moves, "turning", TO_ONE_SIDE[0])
-    shaking = shaken(f, CRAWL_MPS)
-    made |= {"shaking": shaking, f"shaking in {MEMORY_S:g} s": _remembered(shaking)}
+    made |= {f"shaking in {x:g} s": shaken(f, x) for x in SHAKEN_S}
+    made[f"shaking in {MEMORY_S:g} s"] = _remembered(shaken(f, SHAKEN_S[0]))
+    stamps = f.drive.channels["speed"].t
+    made[STAMPS] = np.interp(f.t, stamps, off_cycle(stamps))
     ends = {name: np.quantile(x[moves], ENDS) for name, x in made.items()}
     return {
         name: np.clip((x - low) / (high - low), -BEYOND, 1.0 + BEYOND) - 0.5
@@ -53,11 +67,11 @@ def conditions(f: Forward) -> dict[str, Array]:
 def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
     """Direction and amount of a quantity (N,), now and in the recent past. Its scale is its rms."""
     z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
-    last = np.maximum.accumulate(np.where(np.abs(z) > 1.0, np.arange(len(z)), 0))
-    amount = np.abs(z)
+    rows, amount = np.arange(len(z)), np.abs(z)
+    last = {n: np.maximum.accumulate(np.where(amount > n, rows, 0)) for n in LARGE}
     return {
         side: np.tanh(z),
-        f"the last strong {what}": np.sign(z[last]),
+        **{f"the last {what} of {n:g} times the usual": np.sign(z[k]) for n, k in last.items()},
         f"the amount of {what}": amount,
         f"the amount of {what} in {MEMORY_S:g} s": _remembered(amount),
     }
@@ -99,3 +113,19 @@ def shaken(f: Forward, seconds: float) -> Array:
     mean = (area[last] - area[first]) / np.maximum(last - first, 1)
     low, high = np.quantile(mean, ENDS)
     return np.asarray((mean - low) / max(float(high - low), 1e-12))
+
+
+def off_cycle(t: Array) -> Array:
+    """(N,) delay of stamps against a constant cycle [s]. t: (N,) stamps [s], ascending.
+
+    A cyclic sender gives cyclic stamps. If stamps leave the cycle, either the sender left it or the
+    stamping clock is wrong; a delay that follows them shows the second. Steps are counted in whole
+    cycles, so a lost frame does not delay the next one.
+    """
+    steps = np.diff(t)
+    cycle = float(np.median(steps))
+    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
+    late[steps > PAUSE_S] = 0.0
+    total = np.concatenate([[0.0], np.cumsum(late)])
+    line = np.column_stack([np.ones(len(t)), t - t.mean()])
+    return np.asarray(total - line @ np.linalg.lstsq(line, total, rcond=None)[0])

@@ -23,8 +23,6 @@ from imucald.diagnosis.fit.score import one_in_fifteen
 from imucald.diagnosis.left_over.adequacy import (
     DRIVEN,
     LEAST_BLOCKS,
-    PEAK,
-    PEAKED,
     Spectra,
     as_loud,
     cut_offs,
@@ -37,8 +35,8 @@ from imucald.diagnosis.signals import STEP_S
 BAND_HZ = 0.25, 4.5
 """Tested frequencies: from above those that a segment's tilt absorbs to below half the grid's
 rate."""
-BROAD_HZ = 1.2
-"""Upper frequency of the search in `adequacy` for broader peaks of `PEAKED`."""
+PEAK = 4.0
+"""A line is at least this many times as strong as its surroundings."""
 NEAR, FAR = 3, 9
 """Bins on each side of a line with which it is compared: outside the spread of a Hann window, and
 near enough to follow the spectrum's slope (0.1 to 0.3 Hz in segments of 30 s)."""
@@ -64,17 +62,13 @@ def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
             continue
         z = left_of_known(z[good], known[good])
         hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
-        asked = (hz >= _from_hz(name)) & (hz <= _to_hz(name, state))
+        asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, state))
         for s, low, high in cut_offs(state.changes):
             if s in TAKES[name]:
                 asked &= (hz < low) | (hz > high)
         if asked.any():
             made.append(_question(name, z, hz, np.flatnonzero(asked), PARAMETERS[tau].tolerance))
     return made
-
-
-def _from_hz(name: str) -> float:
-    return BROAD_HZ if name in PEAKED else BAND_HZ[0]
 
 
 def _to_hz(name: str, state: State) -> float:

@@ -24,23 +24,24 @@ from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Question, chance_of_both, chance_of_large
 from imucald.diagnosis.fit.moderated import moderated
 from imucald.diagnosis.fit.sandwich import scatters
-from imucald.diagnosis.fit.score import Problem, what_leaves, without_best
+from imucald.diagnosis.fit.score import Hypothesis, Problem, what_leaves, without_best
 from imucald.diagnosis.left_over.conditions import (
     CRAWL_MPS,
     EITHER_WAY,
     SPEEDS,
+    STAMPS,
     TO_ONE_SIDE,
     conditions,
 )
-from imucald.diagnosis.left_over.stability import EITHER_SIDE, amount, drift_of
-from imucald.diagnosis.result import GOES_WITH_ANOTHER, Structure
+from imucald.diagnosis.left_over.courses import DELAY, EITHER_SIDE, amount
+from imucald.diagnosis.result import GOES_WITH_ANOTHER, WANDERS, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import SINGLE_NATS
 from imucald.diagnosis.signals import STEP_S
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-ZERO, GAIN, LATE = "zero", "gain", "delay"
+ZERO, GAIN, LATE, ASIDE = "zero", "gain", "delay", "place"
 PARTS = 4
 """Parts of a segment whose scatter is used: a bend or a braking lasts some seconds."""
 LEAST_PARTS = 10.0
@@ -52,7 +53,6 @@ value depends on the errors of those columns (a variance inflation factor of ten
 1970)."""
 HALF_KMH = 0.5 / 3.6
 """Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
-DELAY = "speed.delay_s"
 BEND_MPS = 10.0
 OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
     "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
@@ -86,6 +86,7 @@ ERRORS = (
     Error("the gyroscope's zero about the left axis", "gyro", ZERO, "gyro.bias.y", 1),
     Error("the gyroscope's zero about the upward axis", "gyro", ZERO, "gyro.bias.z", 2),
     Error("the speed's zero", "speed", ZERO, ""),
+    Error("the side at which the speed is taken", "speed", ASIDE, "mount.lever_arm_m.1"),
     Error("the yaw rate's zero", "yaw_rate", ZERO, "yaw_rate.offset"),
     Error("the steering angle's zero", "steering", ZERO, "steering.offset"),
     Error("the lateral acceleration's zero", "lateral_accel", ZERO, "lateral_accel.offset"),
@@ -106,12 +107,12 @@ Asked = tuple[Error, str]
 """An error, and a condition that it may depend on."""
 
 
-def pairs(problem: Problem, state: State) -> list[Question]:
-    """One question for each error of a sensor with each condition."""
+def pairs(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
+    """One question for each error of a sensor with each condition. drift: a named drift, which has
+    no place in the model file and differs in each segment."""
     table = problem.table
     fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
-    # A named drift has no place in the model file and differs in each segment.
-    fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
+    fitted[table.number] = -what_leaves(problem, drift)[:, 1:]
     return asked_of(state.forwards, state.model, table, fitted)
 
 
@@ -141,9 +142,14 @@ def asked_of(
 def _can_be_asked(error: Error, condition: str) -> bool:
     """True if an error can be tested with a condition. A tyre responds after a distance, not a time
     (relaxation length, Pacejka, ch. 5), so in every vehicle the delay in turns depends on the
-    speed. A zero that depends on its own signal is a gain."""
+    speed. A zero that depends on its own signal is a gain. Stamps that leave their cycle are those
+    of the speed."""
     if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:
         return False
+    if condition == STAMPS:
+        return error.key == DELAY
+    if error.kind == ASIDE:
+        return condition == TO_ONE_SIDE[0]
     return error.kind != LATE or error.signal == "speed" or condition not in SPEEDS
 
 
@@ -180,11 +186,14 @@ def _added(
 
 
 def _unit(f: Forward, error: Error) -> Array:
-    """(N,), or (N, 3) along the vehicle: effect of a zero, a gain or a delay of 1."""
+    """(N,), or (N, 3) along the vehicle: effect of a zero, a gain or a delay of 1, or
+    of a place 1 m to the left."""
     if error.kind == ZERO:
         if error.axis is None:
             return np.ones(len(f.t))
         return np.tile(np.eye(3)[error.axis], (len(f.t), 1))
+    if error.kind == ASIDE:
+        return f.yaw_rate()
     level = level_of(f, error.signal)
     return level if error.kind == GAIN else np.asarray(-np.gradient(level, STEP_S, axis=0))
 
@@ -254,7 +263,11 @@ def _questions(
             f"{error.text} changes with {condition}: by {size} from one end to the other, "
             f"{sigma:.1f} σ ({abs(value) / may:.1f} times the limit of a correct file)"
         )
-        structure = Structure(error.signal, GOES_WITH_ANOTHER, abs(value) / may, text)
+        by_clock = condition == STAMPS
+        structure = Structure(
+            error.signal, WANDERS if by_clock else GOES_WITH_ANOTHER, abs(value) / may, text,
+            DELAY if by_clock else "",
+        )  # fmt: skip
         se = abs(value) / max(sigma, 1e-300)
         yield Question(p, is_large, structure, chance_of_large(may, se, float(count)))
 

@@ -23,7 +23,6 @@ from imucald.diagnosis.search.standing import (
     asked_again,
     demote,
     eliminate,
-    let_go,
     set_aside,
     simplify,
     where_it_leads,
@@ -50,10 +49,9 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
     """Name the causes that improve the prediction, one after another. Then refit all, and drop
     those that no longer help. Other causes may take the place of a dropped one, which is not named
     again."""
-    dropped: list[str] = []
     fallen: set[str] = set()
     while True:
-        dropped += _grown(state, tick, late, [*skip, *dropped], fallen)
+        _grown(state, tick, late, skip, fallen)
         eliminate(state, late)
         demote(state)
         _beside_rivals(state, late)
@@ -63,7 +61,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
             break
     delay_or_low_pass(state)
     if state.doubtful:
-        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
+        state.last = _trials(state.evaluated(), state, skip)
     known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
     if state.shift is None:
         state.likely = [
@@ -82,13 +80,12 @@ def _is_ended(state: State) -> bool:
 
 def _grown(
     state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
-) -> list[str]:
-    """Name the causes that improve the prediction, one after another. Returns the parameters of
-    those that no longer do. fallen: causes that are not named again."""
-    dropped: list[str] = []
+) -> None:
+    """Name the causes that improve the prediction, one after another. fallen: causes that are not
+    named again."""
     while len(state.named) < MOST_NAMED and not late():
         problem = state.evaluated()
-        state.last = _trials(problem, state, [*skip, *dropped])
+        state.last = _trials(problem, state, skip)
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
         best = _winner(open_to) or _where_it_leads(problem, replace(state, last=open_to))
         shift = None if state.left_out else find_shift(problem, problem.table.levels)
@@ -104,11 +101,7 @@ def _grown(
         alike = _alike(best, state.last)
         best, edge = _from_the_edge(problem, state, best)
         chosen = next(
-            (
-                t
-                for t in [best, *alike, *_behind(best, state.last)]
-                if t.is_plausible and t.hypothesis.name not in fallen
-            ),
+            (t for t in [best, *alike] if t.is_plausible and t.hypothesis.name not in fallen),
             None,
         )
         if chosen is None:
@@ -132,8 +125,6 @@ def _grown(
         _take(state, problem, chosen)
         refit(state)
         simplify(state, chosen)
-        dropped += let_go(state)
-    return dropped
 
 
 def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
@@ -246,15 +237,6 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
         if behind <= max(ALIKE_SE * se, best.needed):
             found[name] = t
     return list(found.values())
-
-
-def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Return the causes that pass with at least half the gain of an implausible explanation. They
-    are tried in its place."""
-    if best.is_plausible:
-        return []
-    passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
-    return sorted(passing, key=lambda t: -t.gain.sum())
 
 
 def _take(state: State, problem: Problem, chosen: Trial) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from imucald.diagnosis.causes import CAUSES
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
 from imucald.diagnosis.search.state import State, refit
-from imucald.diagnosis.search.trials import SINGLE_NATS, Trial, tried
+from imucald.diagnosis.search.trials import Trial, tried
 
 
 def asked_again(state: State, trial: Trial) -> Trial:
@@ -37,29 +37,6 @@ def where_it_leads(state: State, problem: Problem, trial: Trial) -> Trial:
     there = replace(state, changes=dict(state.changes), table=None)
     there.apply(problem.moves(trial.hypothesis))
     return asked_again(there, trial)
-
-
-def let_go(state: State) -> list[str]:
-    """Remove causes that no longer help after later causes were added; return their parameters."""
-    if len(state.named) < 2:
-        return []
-    problem = state.evaluated()
-    base = held_out(problem)
-    gone: list[str] = []
-    for trial in state.named[:-1]:
-        if not trial.hypothesis.is_plain:
-            continue
-        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys and k in state.changes]
-        without = held_out(put_back(problem, state, keys))
-        if without_best(without - base) < SINGLE_NATS:
-            gone += keys
-    if gone:
-        state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
-        for key in gone:
-            state.changes.pop(key, None)
-        state.apply({})
-        refit(state)
-    return gone
 
 
 def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
