@@ -13,8 +13,8 @@ from imucald.diagnosis.left_over.adequacy import (
     _calm,
     _common,
     cut_offs,
+    lines,
 )
-from imucald.diagnosis.left_over.lines import lines
 from imucald.diagnosis.search.state import State
 from imucald.model.model import VehicleModel
 

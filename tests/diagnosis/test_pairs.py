@@ -11,17 +11,19 @@ from scipy.stats import norm
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.fit.moderated import moderated
-from imucald.diagnosis.left_over.conditions import SPEEDS, TO_ONE_SIDE, conditions, off_cycle
+from imucald.diagnosis.fit.chance import beyond_chance, moderated
 from imucald.diagnosis.left_over.courses import by_course
 from imucald.diagnosis.left_over.pairs import (
     ERRORS,
+    SPEEDS,
+    TO_ONE_SIDE,
     _by_part,
     _can_be_asked,
     _in_time,
     _test,
+    conditions,
     may_be,
+    off_cycle,
     pairs,
 )
 from imucald.diagnosis.result import GOES_WITH_ANOTHER

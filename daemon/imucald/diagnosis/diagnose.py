@@ -46,13 +46,11 @@ from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.adequacy import goes_against, shared, spectra_of, too_much
+from imucald.diagnosis.left_over.adequacy import goes_against, lines, shared, spectra_of, too_much
 from imucald.diagnosis.left_over.courses import DELAY, courses, drift_of
-from imucald.diagnosis.left_over.lines import lines
-from imucald.diagnosis.left_over.louder import LEAVES, left_of
+from imucald.diagnosis.left_over.louder import LEAVES, left_of, more_than_stated, uneven
 from imucald.diagnosis.left_over.orders import orders
 from imucald.diagnosis.left_over.pairs import pairs
-from imucald.diagnosis.left_over.uneven_segments import more_than_stated, uneven
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     CHANGES_MISSING,

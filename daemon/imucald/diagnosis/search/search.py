@@ -20,7 +20,6 @@ from imucald.diagnosis.fit.score import Problem, held_out, paired
 from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
 from imucald.diagnosis.search.standing import (
-    asked_again,
     demote,
     eliminate,
     set_aside,
@@ -195,27 +194,17 @@ def _is_form_of(t: Trial, best: Trial) -> bool:
 
 def _where_it_leads(problem: Problem, state: State) -> Trial | None:
     """The best of the causes that pass where their step leads, but fail at the stated file."""
-    found = []
-    for t in state.last:
-        if t.may_lead:
-            found.append(where_it_leads(state, problem, t))
+    found = [where_it_leads(state, problem, t)[0] for t in state.last if t.may_lead]
     passing = [t for t in found if t.named and t.is_plausible]
     return max(passing, key=lambda t: t.gain.sum(), default=None)
 
 
 def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
-    """Test a cause again at the edge of its plausible range, if its step leads beyond. A column is
-    a derivative: for a ratio that is a third lower, a linear step leads to half of it. Returns the
+    """A cause whose step leads beyond its plausible range, tested again at its edge. Returns the
     trial, and the step to the tested place; no step if this did not help."""
     if best.is_plausible or not best.hypothesis.is_plain:
         return best, {}
-    table, step = problem.table, problem.moves(best.hypothesis)
-    for key, x in step.items():
-        low, high = table.plausible[table.keys.index(key)]
-        step[key] = float(np.clip(x, low, high))
-    there = replace(state, changes=dict(state.changes), table=None)
-    there.apply(step)
-    again = asked_again(there, best)
+    again, step = where_it_leads(state, problem, best)
     return (again, step) if again.named and again.is_plausible else (best, {})
 
 
