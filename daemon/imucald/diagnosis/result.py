@@ -202,10 +202,8 @@ class SignalPicture:
     frequency: Array
     """(F,) [Hz]"""
     spectrum_before: Array
-    """(F,) one-sided spectral density of the residual [unit^2/Hz]; the two arrays below have the
-    same form."""
+    """(F,) one-sided spectral density of the residual [unit^2/Hz], as the array below."""
     spectrum_after: Array
-    spectrum_floor: Array
 
 
 @dataclass(frozen=True)

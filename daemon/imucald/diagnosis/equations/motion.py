@@ -22,7 +22,8 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.equations import kinematics
 from imucald.diagnosis.equations.kinematics import Axes
-from imucald.diagnosis.equations.reading import Once, Reader, Reference
+from imucald.diagnosis.equations.once import Once
+from imucald.diagnosis.equations.reading import Reader, Reference
 from imucald.diagnosis.equations.single_track import SLOW_MPS, Complex, followed_angle
 from imucald.diagnosis.signals import STEP_S
 from imucald.model.vehicle import Chassis

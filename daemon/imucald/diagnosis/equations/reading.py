@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
 from imucald.diagnosis.equations.kinematics import Axes, column
+from imucald.diagnosis.equations.once import Known, Once
 from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
 
@@ -198,37 +198,3 @@ def _part(changes: Changes, beginnings: tuple[str, ...]) -> Part:
 
 def _is_gain(key: str) -> bool:
     return key.startswith(("accel.scale", "accel.cross_axis"))
-
-
-# once --------------------------------------------------------------------------------------------
-
-T = TypeVar("T")
-Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
-
-
-class Once:
-    """Calls a function, unless its result for these inputs is already known.
-
-    Inputs are the same if arrays are the same objects and all other inputs are equal. The function
-    must therefore depend on its inputs alone. Stored arrays must not change, so they are made
-    read-only. keeps: True keeps new results in `known`, False only as long as this object lives.
-    """
-
-    def __init__(self, known: Known, keeps: bool) -> None:
-        self._known = known
-        self._new = known if keeps else {}
-
-    def __call__(self, make: Callable[..., T], *inputs: Any) -> T:
-        """Result of `make` for these inputs; functions are identified by their names."""
-        key = (make.__name__, *((id(x),) if isinstance(x, np.ndarray) else x for x in inputs))
-        found = self._known.get(key) or self._new.get(key)
-        if found is not None:
-            known: T = found[1]
-            return known
-        made = make(*inputs)
-        # Inputs are kept too, because an array's id is unique only while the array lives.
-        self._new[key] = inputs, made
-        for x in made if isinstance(made, tuple) else (made,):
-            if isinstance(x, np.ndarray):
-                x.flags.writeable = False
-        return made

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.equations.reading import Once
+from imucald.diagnosis.equations.once import Once
 from imucald.diagnosis.signals import STEP_S
 from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 
