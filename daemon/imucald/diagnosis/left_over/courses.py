@@ -187,8 +187,9 @@ def _step(x: Scores) -> Course | None:
     """The parameter is another one from some moment on, fitted together with the known courses."""
     B = len(x.s)
     after = np.arange(B)[:, None] >= np.arange(LEAST_SIDE, B - LEAST_SIDE + 1)
-    weighted = x.known * x.h[:, None]
-    by = after - x.known @ np.linalg.lstsq(weighted.T @ x.known, weighted.T @ after, rcond=None)[0]
+    weighted = (x.known * x.h[:, None]).T
+    fitted = np.linalg.lstsq(weighted @ x.known, weighted @ after, rcond=None)[0]
+    by: Array = after - x.known @ fitted
     info = x.h @ by**2
     there = np.flatnonzero(info > 1e-6 * (x.h @ after))
     if not len(there):

@@ -72,7 +72,7 @@ value depends on the errors of those columns (a variance inflation factor of ten
 HALF_KMH = 0.5 / 3.6
 """Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
 BEND_MPS = 10.0
-OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
+OWN: Mapping[str, tuple[tuple[str, ...], str, float]] = {
     "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
     "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
     "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
