@@ -58,6 +58,21 @@ OCTAVE = 2.0
 DRIVEN = ("_winding", "_braking")
 """Names of the lateral and forward accelerations that the driver causes."""
 DRIVING_MPS = 2.0
+BAND_HZ = 0.25, 4.5
+"""Tested frequencies: from above those that a segment's tilt absorbs to below half the grid's
+rate."""
+PEAK = 4.0
+"""A line is at least this many times as strong as its surroundings."""
+NEAR, FAR = 3, 9
+"""Bins on each side of a line with which it is compared: outside the spread of a Hann window, and
+near enough to follow the spectrum's slope (0.1 to 0.3 Hz in segments of 30 s)."""
+ZEROS: Mapping[str, str] = {
+    "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
+    "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
+    "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
+    "longitudinal_accel": "longitudinal_accel.offset",
+}  # fmt: skip
+"""Zero error that a correct file may have: a smaller oscillation is not reported."""
 
 
 def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
@@ -252,22 +267,6 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
 
 
 # lines -------------------------------------------------------------------------------------------
-
-BAND_HZ = 0.25, 4.5
-"""Tested frequencies: from above those that a segment's tilt absorbs to below half the grid's
-rate."""
-PEAK = 4.0
-"""A line is at least this many times as strong as its surroundings."""
-NEAR, FAR = 3, 9
-"""Bins on each side of a line with which it is compared: outside the spread of a Hann window, and
-near enough to follow the spectrum's slope (0.1 to 0.3 Hz in segments of 30 s)."""
-ZEROS: Mapping[str, str] = {
-    "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
-    "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
-    "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
-    "longitudinal_accel": "longitudinal_accel.offset",
-}  # fmt: skip
-"""Zero error that a correct file may have: a smaller oscillation is not reported."""
 
 
 def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:

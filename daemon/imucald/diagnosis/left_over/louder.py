@@ -46,6 +46,24 @@ SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x"
 frequency on, the chance is computed beyond a road of the next class. Well below its resonances (1
 Hz and more; Rajamani, ch. 10) the body follows the road. Its tilt is then the only lateral effect
 of the road, and the gyroscope carries it."""
+EVEN = ("accel_x", "accel_y", "accel_z")
+"""Equations whose residuals contain no effect of the road or the springs if a gyroscope carries
+gravity."""
+CARRIED_BY = "gyro_x"
+LEAST_BLOCKS = 4
+"""With fewer blocks, the median and the one block that must not decide cannot be separated."""
+CHANCE = 0.01
+"""Chance that by noise alone more than one segment in fifteen exceeds the assumed noise."""
+OF_MEDIAN = 2.0 / np.pi
+"""Ratio of the variances of mean and median for normal variables."""
+SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
+          2: "half of the segments have"}  # fmt: skip
+FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
+"""Equations that contain no unevenness of the road."""
+FAR = 6.0
+LASTING = np.linspace(-FAR, FAR, 121)
+"""Common differences of all segments from the file's, in standard deviations."""
+WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def left_of(problem: Problem, state: State) -> dict[float, Left]:
@@ -97,25 +115,6 @@ LEAVES = Family(LOUDER, _row)
 """Residuals of segments by equation and band."""
 
 # single segments ---------------------------------------------------------------------------------
-
-EVEN = ("accel_x", "accel_y", "accel_z")
-"""Equations whose residuals contain no effect of the road or the springs if a gyroscope carries
-gravity."""
-CARRIED_BY = "gyro_x"
-LEAST_BLOCKS = 4
-"""With fewer blocks, the median and the one block that must not decide cannot be separated."""
-CHANCE = 0.01
-"""Chance that by noise alone more than one segment in fifteen exceeds the assumed noise."""
-OF_MEDIAN = 2.0 / np.pi
-"""Ratio of the variances of mean and median for normal variables."""
-SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
-          2: "half of the segments have"}  # fmt: skip
-FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
-"""Equations that contain no unevenness of the road."""
-FAR = 6.0
-LASTING = np.linspace(-FAR, FAR, 121)
-"""Common differences of all segments from the file's, in standard deviations."""
-WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
