@@ -73,7 +73,6 @@ def picture(signal="accel_y", unit="m/s^2", seconds=1800.0, size=0.15, seed=1) -
         frequency=frequency,
         spectrum_before=before,
         spectrum_after=after,
-        spectrum_floor=0.9 * after,
     )
 
 

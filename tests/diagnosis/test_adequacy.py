@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.left_over.adequacy import (
     BANDS_HZ,
+    DRIVEN,
     MOST_LEFT_MPS2,
     _calm,
     _common,
-    _peaks,
     cut_offs,
+    lines,
 )
+from imucald.diagnosis.search.state import State
+from imucald.model.model import VehicleModel
 
 BLOCKS, BINS = 40, 20
 BAND = np.ones(BINS, dtype=bool)
@@ -69,12 +73,20 @@ def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
     """30 s segments on the grid of 10 Hz: bins of 1/30 Hz; a peak at 0.5 Hz."""
     hz = np.arange(151) / 30.0
     size = np.sqrt(1.0 + 20.0 * np.exp(-0.5 * ((hz - 0.5) / 0.06) ** 2))
-    spectra = {"accel_y": noise(np.random.default_rng(4), BLOCKS, 151) * size}
-    assert [s.kind for s in _peaks(spectra)] == ["peak"]
+    rng = np.random.default_rng(4)
+    spectra = {"accel_y": noise(rng, BLOCKS, 151) * size}
+    spectra |= {driven: noise(rng, BLOCKS, 151) for driven in DRIVEN}
+
+    def found(**changes):
+        changes = {f"{signal}.delay_s": x for signal, x in changes.items()}
+        state = State((), VehicleModel(), VehicleModel(), {}, changes=changes)
+        return [s.kind for s in beyond_chance(lines(state, spectra))]
+
+    assert found() == ["peak"]
     # 0.45 s late may be a second-order low-pass of 0.5 Hz; 0.1 s one of 2.2 Hz.
-    assert _peaks(spectra, cut_offs({"gyro.delay_s": 0.45})) == []
-    assert _peaks(spectra, cut_offs({"gyro.delay_s": 0.1, "gyro.scale.0": 0.4})) != []
-    assert _peaks(spectra, cut_offs({"steering.delay_s": 0.45})) != []
+    assert found(gyro=0.45) == []
+    assert found(gyro=0.1) == ["peak"]
+    assert found(steering=0.45) == ["peak"]
     assert cut_offs({"gyro.delay_s": 0.01}) == []
 
 

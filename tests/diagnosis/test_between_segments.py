@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from imucald.diagnosis import diagnose
 from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem
-from imucald.diagnosis.left_over.between_segments import gains_apart, named_apart
-from imucald.diagnosis.left_over.even_growth import uneven_growth
+from imucald.diagnosis.left_over.courses import by_course, gains_apart
 from imucald.diagnosis.search.standing import simplify
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
@@ -65,7 +64,7 @@ def heated(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gain_that_comes_and_goes_is_reported_with_its_size(seed):
     gain = heated(seed + 10)
-    found = gains_apart(problem(seed, gain, "speed.scale", GAIN), state(), None)
+    found = list(gains_apart(problem(seed, gain, "speed.scale", GAIN), state(), None))
     assert [q.structure.parameter for q in found] == ["speed.scale"]
     assert found[0].p < 1e-6
     assert found[0].is_large
@@ -90,51 +89,18 @@ def test_one_segment_in_fifteen_does_not_decide():
 def test_of_a_zero_segments_are_not_asked():
     """A segment's own takes what its road makes of it."""
     zero = problem(1, 6.0 * heated(1), "accel.bias.x", ZERO, size=3.0)
-    assert gains_apart(zero, state(), None) == []
-    assert named_apart(zero, state(trial(Hypothesis("accel_bias", ("accel.bias.x",)))), None) == []
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_named_gain_is_held_to_what_is_asked_of_names(seed):
-    named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
-    one = problem(seed, np.full(BLOCKS, 0.08), "speed.scale", GAIN)
-    apart = problem(seed, heated(seed), "speed.scale", GAIN)
-    assert named_apart(one, named, None) == []
-    assert [s.parameter for s in named_apart(apart, named, None)] == ["speed.scale"]
-    assert named_apart(apart, state(), None) == []
-
-
-def test_a_named_gain_that_is_asked_about_twice_is_reported_once(monkeypatch):
-    named = state(trial(Hypothesis("wheel_speed_scale", ("speed.scale",))))
-    apart = problem(0, heated(0), "speed.scale", GAIN)
-    monkeypatch.setattr(State, "evaluated", lambda _: apart)
-    others = ("too_much", "uneven", "patterns", "pairs", "orders", "lines", "unstable",
-              "delay_course", "uneven_growth", "spectra_of", "what_is_left")  # fmt: skip
-    for other in others:
-        monkeypatch.setattr(diagnose, other, lambda *_: [])
-    assert [s.parameter for s in diagnose._left(named)] == ["speed.scale"]
+    assert list(gains_apart(zero, state(), None)) == []
 
 
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
 def test_a_drift_stands_where_no_step_does_as_well(grows, is_even):
-    drift = trial(Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP))
+    drift = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP)
     p = problem(3, 5.0 * ZERO * grows, "accel.bias.x", ZERO, size=3.0)
-    left = uneven_growth(p, state(drift))
+    left = beyond_chance(list(by_course(p, drift)))
     assert (left == []) == is_even
     if left:
         assert left[0].parameter == "accel.bias.x"
-        assert "at 360 s" in left[0].text
-
-
-@pytest.mark.parametrize(("seed", "tolerances"), [(3, 2.0), (1, 3.0), (2, 4.0)])
-def test_a_drift_that_is_ahead_of_every_step_by_no_more_than_chance_does_not_stand(
-    seed, tolerances
-):
-    """Small next to its noise: one question, 5 %."""
-    drift = trial(Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP))
-    p = problem(seed, tolerances * ZERO * RAMP, "accel.bias.x", ZERO, size=3.0)
-    (left,) = uneven_growth(p, state(drift))
-    assert left.size < BLOCKS, "no step is ahead"
+        assert "from 360 s on" in left[0].text
 
 
 @dataclass
@@ -171,11 +137,11 @@ def clocks(delay) -> tuple[Fixed, Trial]:
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
 def test_clocks_run_apart_where_no_step_of_the_delay_does_as_well(grows, is_even):
     known, _ = clocks(0.1 + 0.6 * grows)
-    left = uneven_growth(known.evaluated(), known)
+    left = beyond_chance(list(by_course(known.evaluated(), None)))
     assert (left == []) == is_even
     if left:
-        assert left[0].parameter == "speed.delay_rate"
-        assert "at 360 s" in left[0].text
+        assert left[0].parameter == "speed.delay_s"
+        assert "from 360 s on" in left[0].text
 
 
 def test_a_rate_that_does_not_pay_leaves_nothing_where_the_model_has_moved_by_no_delay():

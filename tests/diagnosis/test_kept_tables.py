@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucald.diagnosis.fit import kept_tables
-from imucald.diagnosis.fit.kept_tables import KeptTables
+from imucald.diagnosis.fit import blocks
+from imucald.diagnosis.fit.blocks import KeptTables
 
 
 @pytest.fixture
@@ -20,8 +20,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         of.append(model)
         return SimpleNamespace(plain={}, gram=np.zeros(10)), [model]
 
-    monkeypatch.setattr(kept_tables, "table_of", table_of)
-    monkeypatch.setattr(kept_tables, "MOST_BYTES", 240)
+    monkeypatch.setattr(blocks, "table_of", table_of)
+    monkeypatch.setattr(blocks, "MOST_BYTES", 240)
     return of
 
 
@@ -47,7 +47,7 @@ def test_what_was_not_asked_for_the_longest_makes_room(made):
 
 
 def test_a_table_larger_than_all_room_is_kept_while_it_is_the_last(made, monkeypatch):
-    monkeypatch.setattr(kept_tables, "MOST_BYTES", 10)
+    monkeypatch.setattr(blocks, "MOST_BYTES", 10)
     tables = KeptTables()
     for model in "aab":
         tables.of((), model)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.left_over.lines import _question
+from imucald.diagnosis.left_over.adequacy import _question
 
 SEGMENTS, ROWS = 40, 300
 HZ = np.fft.rfftfreq(ROWS, 0.1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from imucald.diagnosis.fit.moderated import moderated
+from imucald.diagnosis.fit.chance import moderated
 
 QUESTIONS, FREE, DRAWS = 100, 7.0, 400
 

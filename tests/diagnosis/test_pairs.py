@@ -11,16 +11,19 @@ from scipy.stats import norm
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.fit.moderated import moderated
-from imucald.diagnosis.left_over.conditions import SPEEDS, TO_ONE_SIDE, conditions
+from imucald.diagnosis.fit.chance import beyond_chance, moderated
+from imucald.diagnosis.left_over.courses import by_course
 from imucald.diagnosis.left_over.pairs import (
     ERRORS,
+    SPEEDS,
+    TO_ONE_SIDE,
     _by_part,
     _can_be_asked,
     _in_time,
     _test,
+    conditions,
     may_be,
+    off_cycle,
     pairs,
 )
 from imucald.diagnosis.result import GOES_WITH_ANOTHER
@@ -44,7 +47,7 @@ def found(put=None):
     if put is not None:
         put(samples, mount_of(model))
     state = State([drive_of(samples)], model, model, {})
-    return beyond_chance(pairs(state.evaluated(), state))
+    return beyond_chance(pairs(state.evaluated(), state, None))
 
 
 def uneven_gain(s, R, share=0.08):
@@ -68,10 +71,39 @@ def zero_by_speed(s, R):
     s["accel"] = Series(t, x + 0.3 * np.outer(np.tanh((v - 10.0) / 5.0), R[1]))
 
 
+def after_effect(s, R):
+    """The zero forward is 0.25 m/s^2 to the side of the last hard pull or braking."""
+    t, x = s["accel"].t, s["accel"].values
+    along = np.interp(t, s["speed"].t, np.gradient(s["speed"].values, s["speed"].t))
+    along = np.convolve(along, np.ones(200) / 200.0, "same")
+    rows = np.where(np.abs(along) > 1.5 * np.std(along), np.arange(len(along)), 0)
+    s["accel"] = Series(t, x + 0.25 * np.outer(np.sign(along[np.maximum.accumulate(rows)]), R[0]))
+
+
+def outer_wheel(s, R):
+    """The speed is that of the outer wheel, 0.75 m beside the middle, whichever it is."""
+    t, v = s["speed"].t, s["speed"].values
+    rate = np.interp(t, s["gyro"].t, np.convolve(s["gyro"].values @ R[2], np.ones(50) / 50, "same"))
+    s["speed"] = Series(t, v + 0.75 * np.abs(rate))
+
+
+def shaken(s, R):
+    """The zero forward goes by 0.8 m/s^2 from the smoothest to the most shaken ten seconds."""
+    t, x = s["accel"].t, s["accel"].values
+    power = np.sum(np.diff(x, axis=0, prepend=x[:1]) ** 2, axis=1)
+    n = round(10.0 / float(np.median(np.diff(t))))
+    mean = np.convolve(power, np.ones(n) / n, "same")
+    low, high = np.quantile(mean, [0.05, 0.95])
+    s["accel"] = Series(t, x + 0.8 * np.outer((mean - low) / (high - low), R[0]))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("put", "signal", "what"),
-    [(uneven_gain, "gyro", ("the side it turns to", "the amount of turning")),
+    [(after_effect, "accel", ("the last acceleration", "accelerating")),
+     (outer_wheel, "speed", ("side at which",)),
+     (shaken, "accel", ("shaking",)),
+     (uneven_gain, "gyro", ("the side it turns to", "the amount of turning")),
      (late_when_it_pulls, "speed", ("accelerating", "acceleration")),
      (zero_by_speed, "accel", ("the speed", "crawling"))],
 )  # fmt: skip
@@ -119,7 +151,7 @@ def test_conditions_run_from_one_end_to_the_other():
     f = Forward(drive_of(samples), model, 300)
     v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values))
     some = conditions(f)
-    assert {*SPEEDS, *TO_ONE_SIDE, "shaking"} <= set(some)
+    assert {*SPEEDS, *TO_ONE_SIDE, "shaking in 3 s"} <= set(some)
     for name in ("the speed", TO_ONE_SIDE[0]):
         assert np.quantile(some[name][v > 0.05], [0.05, 0.95]) == pytest.approx([-0.5, 0.5])
     assert np.corrcoef(some[TO_ONE_SIDE[0]], f.yaw_rate())[0, 1] > 0.5
@@ -128,14 +160,14 @@ def test_conditions_run_from_one_end_to_the_other():
 def test_a_vehicle_that_is_the_same_in_a_mirror_errs_to_neither_side():
     model = sound()[0]
     (gain,) = (e for e in ERRORS if e.text == "the gyroscope's gain")
-    assert may_be(gain, TO_ONE_SIDE[0], model) < may_be(gain, "shaking", model)
+    assert may_be(gain, TO_ONE_SIDE[0], model) < may_be(gain, "shaking in 3 s", model)
 
 
 def test_tyres_make_delays_of_turning_that_go_with_the_speed():
     late = {e.signal: e for e in ERRORS if e.kind == "delay"}
     assert not _can_be_asked(late["gyro"], "crawling")
     assert _can_be_asked(late["speed"], "crawling")
-    assert _can_be_asked(late["gyro"], "shaking")
+    assert _can_be_asked(late["gyro"], "shaking in 3 s")
 
 
 def test_parts_of_a_segment_add_up_to_it():
@@ -189,3 +221,56 @@ def test_questions_about_the_same_noise_that_borrow_from_each_other_are_no_surer
         chances = [x.chance(a, b) for x, a, b in zip(found, over, free, strict=True)]
         below, asked = below + sum(c < 1e-3 for c in chances), asked + len(chances)
     assert below / asked < 2e-3
+
+
+# stamps ------------------------------------------------------------------------------------------
+
+
+def test_an_even_cycle_is_not_left_by_lost_frames_nor_by_a_pause():
+    t = np.delete(0.5 * np.arange(400), [7, 90, 91, 300])
+    assert off_cycle(t) == pytest.approx(0.0, abs=1e-9)
+    t[200:] += 123.3
+    assert off_cycle(t) == pytest.approx(0.0, abs=0.2)
+
+
+def test_a_clock_that_runs_evenly_and_wrong_leaves_no_cycle():
+    assert off_cycle(1.0003 * np.arange(1000.0)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_stamps_that_are_set_leave_their_cycle_by_as_much():
+    t = np.arange(1000.0)
+    late = off_cycle(t + 0.3 * (t >= 500.0))
+    assert late[500] - late[499] == pytest.approx(0.3, abs=0.01)
+
+
+def wander(t):
+    return 0.4 * np.sin(2.0 * np.pi * t / 97.0)
+
+
+def wrong_stamps(s, R):
+    t, v = s["speed"].t, s["speed"].values
+    s["speed"] = Series(t + wander(t), v)
+
+
+def late_sender(s, R):
+    """It wanders, and stamps rightly."""
+    t, v = s["speed"].t, s["speed"].values
+    s["speed"] = Series(t + wander(t), np.interp(t + wander(t), t, v))
+
+
+@pytest.mark.slow
+def test_stamps_that_wander_are_seen_and_a_sender_that_wanders_is_not_reported():
+    assert any("even cycle" in s.text for s in found(wrong_stamps))
+    assert found(late_sender) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [0.4, 0.0])
+def test_a_speed_that_is_late_from_some_moment_on_with_even_stamps_is_seen(step):
+    model, samples = sound()
+    t, v = samples["speed"].t, samples["speed"].values
+    late = np.interp(t - step * (t > t[0] + 500.0), t, v)
+    runs_wrong = t if step else t + 2e-4 * (t - t[0])
+    state = State([drive_of({**samples, "speed": Series(runs_wrong, late)})], model, model, {})
+    left = beyond_chance(list(by_course(state.evaluated(), None)))
+    assert [s.parameter for s in left] == (["speed.delay_s"] if step else [])

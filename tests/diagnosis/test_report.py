@@ -277,7 +277,7 @@ def test_numbers_that_are_none_do_not_break_the_page():
     empty = replace(
         short, signal="gyro_x", t=np.zeros(0), measured=np.zeros(0), predicted_before=np.zeros(0),
         predicted_after=np.zeros(0), driver=np.zeros(0), frequency=np.zeros(0),
-        spectrum_before=np.zeros(0), spectrum_after=np.zeros(0), spectrum_floor=np.zeros(0),
+        spectrum_before=np.zeros(0), spectrum_after=np.zeros(0),
     )  # fmt: skip
     lost = np.full_like(short.t, np.nan)
     absent = replace(short, signal="gyro_y", measured=lost, driver=lost)

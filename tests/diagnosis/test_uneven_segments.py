@@ -9,7 +9,7 @@ from imucald.diagnosis.fit.beside_file import leaves_of
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.score import Hypothesis, Problem
-from imucald.diagnosis.left_over.uneven_segments import _of_equation, uneven
+from imucald.diagnosis.left_over.louder import _of_equation, uneven
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate

@@ -82,24 +82,24 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
     from rich.text import Text
 
     console.print()
-    title = f"{words.how_sure(cause, diagnosis)}: {titles.cause_title(cause.name)}"
-    console.print(Text.assemble((title, "bold"), f". {numbers.typographic(cause.text)}"))
+    card = words.card(cause, diagnosis)
+    console.print(Text.assemble((f"{card.certainty}: {card.title}", "bold"), f". {card.text}"))
     table = _table()
     table.add_column("parameter", overflow="fold")
     table.add_column("value ± 95 %", justify="right")
     table.add_column("model file", justify="right")
     table.add_column("by the file's key", overflow="fold")
-    for row in words.parameter_rows(cause):
+    for row in card.rows:
         in_file = f"{row.key}: {row.in_file}" if row.key else ""
         table.add_row(f"  {row.title}", row.value, row.stated, in_file)
     console.print(table)
-    if cause.signals:
-        signals = words.in_series([titles.signal_title(s) for s in cause.signals])
-        console.print(Padding(f"seen in {signals}", INDENT))
-    if words.evidence(cause):
-        console.print(Padding(words.evidence(cause), INDENT))
-    for text in words.against(cause, diagnosis):
-        console.print(Padding(f"against it: {text}", INDENT))
+    seen = [f"seen in {words.in_series(card.signals)}"] if card.signals else []
+    for text in (
+        *seen,
+        *filter(None, [card.evidence]),
+        *(f"against it: {x}" for x in card.against),
+    ):
+        console.print(Padding(text, INDENT))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
@@ -132,14 +132,12 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     for title in ("rms before", "after", "change", "floor"):
         table.add_column(title, justify="right")
     table.add_column("unit")
-    for name, s in diagnosis.signals.items():
-        cells = [numbers.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor)]
-        cells.insert(2, words.less(s))
-        table.add_row(titles.signal_title(name), s.verdict, *cells, numbers.unit_text(s.unit))
+    rows = words.signal_rows(diagnosis)
+    for name, *cells, _, _ in rows:
+        table.add_row(name, *cells)
     console.print(table)
-    for name, s in diagnosis.signals.items():
-        if s.left:
-            console.print(f"left in {titles.signal_title(name)}: {numbers.typographic(s.left)}")
+    for row in filter(lambda row: row.left, rows):
+        console.print(f"left in {row.name}: {row.left}")
 
 
 def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:

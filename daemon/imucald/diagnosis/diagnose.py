@@ -46,23 +46,16 @@ from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.adequacy import goes_against, spectra_of, too_much, what_is_left
-from imucald.diagnosis.left_over.between_segments import gains_apart, named_apart
-from imucald.diagnosis.left_over.delay_course import delay_course
-from imucald.diagnosis.left_over.even_growth import uneven_growth
-from imucald.diagnosis.left_over.lines import lines
-from imucald.diagnosis.left_over.louder import LEAVES, left_of
+from imucald.diagnosis.left_over.adequacy import goes_against, lines, shared, spectra_of, too_much
+from imucald.diagnosis.left_over.courses import DELAY, courses, drift_of
+from imucald.diagnosis.left_over.louder import LEAVES, left_of, more_than_stated, uneven
 from imucald.diagnosis.left_over.orders import orders
 from imucald.diagnosis.left_over.pairs import pairs
-from imucald.diagnosis.left_over.patterns import patterns
-from imucald.diagnosis.left_over.stability import drift_of, unstable
-from imucald.diagnosis.left_over.uneven_segments import more_than_stated, uneven
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     CHANGES_MISSING,
     CHANGES_OTHERWISE,
     COARSER,
-    DIFFERS,
     FOLLOWS_OTHERWISE,
     GOES_AGAINST,
     GOES_WITH_ANOTHER,
@@ -107,7 +100,7 @@ READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are found from the sequence of a signal's values."""
 ONE_SENSOR = ("accel", "gyro")
 """Signals that come from one sensor, over one wire."""
-MOVES = (WANDERS, DIFFERS, GOES_WITH_ANOTHER)
+MOVES = (WANDERS, GOES_WITH_ANOTHER)
 """Structure of a zero error that changes during the drive."""
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
 """Structure of raw values that arises between sensor and log."""
@@ -294,28 +287,24 @@ def _left(state: State) -> tuple[Structure, ...]:
     problem = state.evaluated()
     drift = drift_of(problem, state)
     spectra = spectra_of(problem, state.forwards)
-    left = (
+    asked = [
+        *pairs(problem, state, drift),
+        *orders(problem, state),
+        *lines(state, spectra),
+        *courses(problem, state, drift),
+        *_beside_stated(problem, state),
+    ]
+    of_clocks = [q for q in asked if q.structure.parameter == DELAY]
+    return (
         *too_much(problem, state),
         *uneven(problem, drift),
         *outcome.implausible(state),
         *held_values(state.drives),
-        *beyond_chance(
-            [
-                *patterns(problem, state.forwards),
-                *pairs(problem, state),
-                *orders(problem, state),
-                *lines(state, spectra),
-                *unstable(problem, state),
-                *gains_apart(problem, state, drift),
-                *_beside_stated(problem, state),
-            ]
-        ),
-        *beyond_chance(delay_course(problem, state)),
-        *named_apart(problem, state, drift),
-        *uneven_growth(problem, state),
-        *what_is_left(problem, state, spectra),
+        *beyond_chance([q for q in asked if q not in of_clocks]),
+        # Stamps that leave their cycle need an explanation: an error rate of their own.
+        *beyond_chance(of_clocks),
+        *shared(spectra, state.forwards),
     )
-    return tuple(dict.fromkeys(left))  # a named gain is asked about twice
 
 
 def _beside_stated(problem: Problem, state: State) -> list[Question]:

@@ -17,7 +17,6 @@ from imucald.diagnosis.result import (
     COARSER,
     FOLLOWS_OTHERWISE,
     GOES_WITH_ANOTHER,
-    GOES_WITH_LEVEL,
     LOUDER,
     NOT_PLAUSIBLE,
     TOO_MUCH,
@@ -30,7 +29,7 @@ from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
 """Kinds of structure that bias no value: causes from a fit stay named."""
-NO_STEP = (GOES_WITH_ANOTHER, GOES_WITH_LEVEL, FOLLOWS_OTHERWISE, TOO_MUCH)
+NO_STEP = (GOES_WITH_ANOTHER, FOLLOWS_OTHERWISE, TOO_MUCH)
 """Structure that a turned sensor does not cause. A turn by 10 deg makes zeros and gains seem to
 wander, because the fit follows it only to first order and to the nearest segment."""
 

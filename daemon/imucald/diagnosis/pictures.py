@@ -36,7 +36,6 @@ def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[Si
                 predicted_before=measured - old, predicted_after=measured - new,
                 driver_name=driver, driver=drivers[driver], frequency=f,
                 spectrum_before=power, spectrum_after=power_new,
-                spectrum_floor=np.full(len(f), np.nan),
             )
         )  # fmt: skip
     return tuple(made)

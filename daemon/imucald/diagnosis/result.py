@@ -139,22 +139,16 @@ GOES_AGAINST = "goes against the model"
 """Kind of structure for a signal with the opposite sign of its prediction."""
 TOO_MUCH = "too much is left"
 """Kind for a residual larger than that of any measured car: then no fit is trusted."""
-GOES_WITH_LEVEL = "goes with its own signal"
-"""Kind for a residual that depends on a signal's level, direction or past."""
 GOES_WITH_ANOTHER = "goes with another signal"
 """Kind for an error of one signal that depends on another signal."""
 TURNS_WITH_WHEEL = "turns with the wheel"
 """Kind for a residual that oscillates with distance, once or twice per wheel turn."""
-GOES_WITH_SHAKING = "goes with shaking"
-"""Kind for a residual that depends on the vibration of the sensor."""
 VALUE_HELD = "a value is held"
 """Kind for a sensor that shows one value far more often than the neighbouring values."""
 READINGS_LOST = "readings are lost"
 """Kind for a sensor that jumps to one value and back: those readings are invalid and not used."""
 WANDERS = "wanders"
 """Kind for a zero, gain or delay that changes from segment to segment of a drive."""
-DIFFERS = "differs by condition"
-"""Kind for a zero, gain or delay that depends on how the vehicle is driven."""
 UNEVEN = "some segments leave more"
 """Kind for segments whose residual exceeds both their noise and the errors of a correct file."""
 LOUDER = "more is left than the file states"
@@ -208,10 +202,8 @@ class SignalPicture:
     frequency: Array
     """(F,) [Hz]"""
     spectrum_before: Array
-    """(F,) one-sided spectral density of the residual [unit^2/Hz]; the two arrays below have the
-    same form."""
+    """(F,) one-sided spectral density of the residual [unit^2/Hz], as the array below."""
     spectrum_after: Array
-    spectrum_floor: Array
 
 
 @dataclass(frozen=True)

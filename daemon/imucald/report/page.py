@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.core.errors import ImucaldError
 from imucald.core.libraries import how_to_install
 from imucald.core.text import duration
-from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
+from imucald.diagnosis.result import Diagnosis, SignalPicture
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.contents import with_contents
@@ -62,8 +62,8 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         about=about,
         verdict=verdict,
         figures=_key_figures(diagnosis),
-        causes=[_card(cause, diagnosis) for cause in diagnosis.causes],
-        likely=[_card(cause, diagnosis) for cause in diagnosis.likely],
+        causes=[words.card(cause, diagnosis) for cause in diagnosis.causes],
+        likely=[words.card(cause, diagnosis) for cause in diagnosis.likely],
         others=words.other_suspects(diagnosis)[:MAX_ROWS],
         groups=[
             (list(group_titles), words.ways_apart(group))
@@ -142,39 +142,16 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     return figures
 
 
-def _card(cause: FoundCause, diagnosis: Diagnosis) -> dict[str, Any]:
-    return {
-        "title": titles.cause_title(cause.name),
-        "name": cause.name,
-        "certainty": words.how_sure(cause, diagnosis),
-        "text": numbers.typographic(cause.text),
-        "rows": words.parameter_rows(cause)[:MAX_ROWS],
-        "evidence": words.evidence(cause),
-        "against": words.against(cause, diagnosis),
-        "signals": [titles.signal_title(name) for name in cause.signals],
-    }
-
-
 def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Rows with the widths of their bars in per cent."""
     rows = []
-    for name, s in list(diagnosis.signals.items())[:MAX_ROWS]:
-        top = max(s.rms_before, s.rms_after, s.noise_floor)
+    for row, s in zip(words.signal_rows(diagnosis), diagnosis.signals.values(), strict=True):
+        sizes = {"before": s.rms_before, "after": s.rms_after, "floor": s.noise_floor}
+        top = max(sizes.values())
         share = 100.0 / top if top > 0.0 and math.isfinite(top) else 0.0
-        rows.append({
-            "name": name,
-            "verdict": s.verdict,
-            "unit": s.unit,
-            "before": numbers.number(s.rms_before),
-            "after": numbers.number(s.rms_after),
-            "floor": numbers.number(s.noise_floor),
-            "less": words.less(s),
-            "slow": f"{numbers.number(s.slow_before)} → {numbers.number(s.slow_after)}",
-            "left": numbers.typographic(s.left),
-            "bar_before": _width(share * s.rms_before),
-            "bar_after": _width(share * s.rms_after),
-            "bar_floor": _width(share * s.noise_floor),
-        })  # fmt: skip
-    return rows
+        bars = {f"bar_{name}": _width(share * x) for name, x in sizes.items()}
+        rows.append({**row._asdict(), **bars})
+    return rows[:MAX_ROWS]
 
 
 def _width(share: float) -> str:

@@ -58,7 +58,7 @@ def driver_picture(p: SignalPicture) -> str:
 
 
 def spectrum_picture(p: SignalPicture) -> str:
-    """Residual spectrum before and after, with the noise floor."""
+    """Residual spectrum before and after."""
     return _picture(_draw_spectrum, p, (4.7, 2.9))
 
 
@@ -140,8 +140,7 @@ def _draw_driver(axes: Axes, p: SignalPicture) -> None:
 
 
 def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
-    floor = _Curve("noise floor", p.measured, p.spectrum_floor, FLOOR, "", (0, (1, 1.5)), 0.0)
-    for curve in (*_curves(p), floor):
+    for curve in _curves(p):
         line = log_bins(p.frequency, curve.density, SPECTRUM_BINS)
         axes.plot(*line, color=curve.colour, lw=1.2, ls=curve.dashes,
                   label=curve.name or "residual")  # fmt: skip

@@ -22,7 +22,7 @@ from imucald.diagnosis.result import (
     Structure,
 )
 from imucald.report.model_changes import model_changes
-from imucald.report.numbers import for_people, in_file, number, typographic
+from imucald.report.numbers import for_people, in_file, number, typographic, unit_text
 from imucald.report.titles import cause_title, key_title, signal_title
 
 AS_WELL = " does as well on data that no fit saw"
@@ -58,6 +58,33 @@ class Words:
 
     headline: str
     explanation: str
+
+
+class Card(NamedTuple):
+    """A cause in readable form."""
+
+    name: str
+    title: str
+    certainty: str
+    text: str
+    rows: list[ParameterRow]
+    evidence: str
+    signals: list[str]
+    against: list[str]
+
+
+class SignalRow(NamedTuple):
+    """The residual of a signal in readable form."""
+
+    name: str
+    verdict: str
+    before: str
+    after: str
+    less: str
+    floor: str
+    unit: str
+    slow: str
+    left: str
 
 
 def in_series(names: Sequence[str], last: str = "and") -> str:
@@ -269,6 +296,27 @@ def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
         of_file = "" if key in cause.along_vehicle else key
         rows.append(ParameterRow(key_title(key), shown, stated, of_file, in_file(p)))
     return rows
+
+
+def card(cause: FoundCause, diagnosis: Diagnosis) -> Card:
+    """A cause as terminal and page show it."""
+    signals = [signal_title(name) for name in cause.signals]
+    return Card(
+        cause.name, cause_title(cause.name), how_sure(cause, diagnosis), typographic(cause.text),
+        parameter_rows(cause), evidence(cause), signals, against(cause, diagnosis),
+    )  # fmt: skip
+
+
+def signal_rows(diagnosis: Diagnosis) -> list[SignalRow]:
+    """The residuals of all signals as terminal and page show them."""
+    return [
+        SignalRow(
+            signal_title(name), s.verdict, number(s.rms_before), number(s.rms_after), less(s),
+            number(s.noise_floor), unit_text(s.unit),
+            f"{number(s.slow_before)} → {number(s.slow_after)}", typographic(s.left),
+        )
+        for name, s in diagnosis.signals.items()
+    ]  # fmt: skip
 
 
 def not_named(diagnosis: Diagnosis) -> list[CandidateRow]:

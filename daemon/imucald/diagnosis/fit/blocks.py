@@ -388,3 +388,36 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
 def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
     """(B, P+1, P+1) by equation."""
     return {n: np.swapaxes(a, 1, 2) @ a for n, a in _rows(parts, weights).items()}
+
+
+# kept tables -------------------------------------------------------------------------------------
+
+MOST_BYTES = 200_000_000
+"""Size limit of the kept rows and matrices: about twenty tables of half an hour."""
+
+
+class KeptTables:
+    """Tables of the same drives with changing model files; the last used ones are kept."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[VehicleModel, Table, list[Forward]]] = []
+
+    def of(
+        self, drives: Sequence[DriveSignals], model: VehicleModel
+    ) -> tuple[Table, list[Forward]]:
+        """The table of a model file; it is made if it is not in the cache. drives: always the
+        same."""
+        for i, (known, table, forwards) in enumerate(self._kept):
+            if known == model:
+                self._kept.append(self._kept.pop(i))
+                return table, forwards
+        table, forwards = table_of(drives, model)
+        self._kept.append((model, table, forwards))
+        while len(self._kept) > 1 and sum(_nbytes(t) for _, t, _ in self._kept) > MOST_BYTES:
+            self._kept.pop(0)
+        return table, forwards
+
+
+def _nbytes(table: Table) -> int:
+    rows = table.plain.nbytes if isinstance(table.plain, MadeLater) else 0
+    return rows + table.gram.nbytes

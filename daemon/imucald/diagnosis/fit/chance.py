@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import digamma, polygamma
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.result import Structure
 
 FALSE_SHARE = 0.01
@@ -43,7 +46,7 @@ def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
     """Return the structures to report: large effects whose chance is at most a certain level. The
     level is the largest at which the expected number of false reports is 1 % of all reports at that
-    level. Of each signal and kind only the largest is reported.
+    level. Of each signal and kind only the most certain is reported.
 
     At a level a, the chance of a false report of the i-th question is at most min(a, its chance to
     look large). The sum of these chances over the number of reports is the false-discovery rate
@@ -58,7 +61,49 @@ def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
         if float(np.minimum(may, q.p).sum()) <= k * FALSE_SHARE:
             sure = k
     for q in large[:sure]:
-        at = q.structure.signal, q.structure.kind
-        if at not in found or q.structure.size > found[at].size:
-            found[at] = q.structure
+        found.setdefault((q.structure.signal, q.structure.kind), q.structure)
     return list(found.values())
+
+
+# shared scatter ----------------------------------------------------------------------------------
+
+FEW = 10
+"""With fewer questions than this, no common distribution is estimated."""
+LEAST, MOST = 1e-2, 1e4
+"""Range of the common distribution's degrees of freedom: below the first it is ignored; the second
+is the largest value."""
+
+
+def moderated(over: Array, free: Array, most: float) -> tuple[Array, Array]:
+    """(E,) moderated over-dispersions and their degrees of freedom.
+
+    With fewer than ten segments, a question's own scatter makes Student's t require six standard
+    deviations. A hundred questions about the same segments have over-dispersions from one common
+    distribution, so each uses a mean of its own and the common one (moderated t; Smyth, Linear
+    models and empirical Bayes methods for assessing differential expression, 2004).
+
+    over: (E,) scatter divided by that of noise alone. free: (E,) degrees of freedom of each by
+    itself. most: upper limit of the total degrees of freedom, since the questions share their
+    segments.
+    """
+    known = (over > 0.0) & (free > 0.0)
+    if known.sum() < FEW:
+        return over, free
+    prior, common = _law(over[known], free[known])
+    prior = max(min(prior, most - float(np.median(free[known]))), 0.0)
+    total = np.maximum(prior + free, 1e-300)
+    return (prior * common + free * over) / total, np.minimum(total, most)
+
+
+def _law(over: Array, free: Array) -> tuple[float, float]:
+    """Degrees of freedom and value of the common over-dispersion, by mean and variance of the
+    logarithms (Smyth 2004, section 6.2)."""
+    half = 0.5 * free
+    logs = np.log(over) - digamma(half) + np.log(half)
+    more = float(logs.var(ddof=1) - polygamma(1, half).mean())
+    if more <= polygamma(1, 0.5 * MOST):
+        return MOST, float(np.exp(logs.mean()))
+    if more >= polygamma(1, 0.5 * LEAST):
+        return 0.0, float(np.exp(logs.mean()))
+    prior = float(brentq(lambda x: float(polygamma(1, 0.5 * x)) - more, LEAST, MOST))
+    return prior, float(np.exp(logs.mean() + digamma(0.5 * prior) - np.log(0.5 * prior)))

@@ -1,8 +1,8 @@
 """Test the residuals after the search, without a known cause.
 
-The tests find a common motion in the residuals of two equations without a common sensor, a narrow
-peak in a residual's spectrum, and a zero error that depends on vibration. The first test finds
-signals with the opposite sign of their prediction.
+The tests find a residual that is too large, a common motion in the residuals of two equations
+without a common sensor, a line in a spectrum, and signals with the opposite sign of their
+prediction.
 """
 
 from __future__ import annotations
@@ -11,23 +11,22 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import gamma
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
 from imucald.diagnosis.causes import PARAMETERS
-from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.blocks import TAKES, late_signals
-from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, one_in_fifteen
+from imucald.diagnosis.equations.forward import UNITS, Forward
+from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt, late_signals
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.score import Problem, one_in_fifteen
 from imucald.diagnosis.result import (
     GOES_AGAINST,
-    GOES_WITH_SHAKING,
     TOO_MUCH,
     Structure,
 )
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.search.trials import BIAS, tried
 from imucald.diagnosis.signals import STEP_S, Mask
-from imucald.mount.mount_words import SD_95
 
 Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4
@@ -53,17 +52,27 @@ FAST_MPS = 30.0
 MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
 """Limit of the lateral residual after a fit of all parameters within their tolerances: the effect
 of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
-PEAK, PEAK_BINS = 4.0, 3
-"""A peak is this many times the spectrum 0.2 Hz to both sides of it."""
-PEAKED = ("accel_y", "yaw_rate")
 FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Product of delay and cut-off frequency of a first-order low-pass, well below the cut-off."""
 OCTAVE = 2.0
 DRIVEN = ("_winding", "_braking")
 """Names of the lateral and forward accelerations that the driver causes."""
 DRIVING_MPS = 2.0
-QUICK_HZ = 40.0
-"""An accelerometer with a higher rate than this shows the vibration."""
+BAND_HZ = 0.25, 4.5
+"""Tested frequencies: from above those that a segment's tilt absorbs to below half the grid's
+rate."""
+PEAK = 4.0
+"""A line is at least this many times as strong as its surroundings."""
+NEAR, FAR = 3, 9
+"""Bins on each side of a line with which it is compared: outside the spread of a Hann window, and
+near enough to follow the spectrum's slope (0.1 to 0.3 Hz in segments of 30 s)."""
+ZEROS: Mapping[str, str] = {
+    "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
+    "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
+    "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
+    "longitudinal_accel": "longitudinal_accel.offset",
+}  # fmt: skip
+"""Zero error that a correct file may have: a smaller oscillation is not reported."""
 
 
 def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
@@ -128,12 +137,6 @@ def _noise(state: State, top_hz: float) -> float:
     return float(max(found))
 
 
-def what_is_left(problem: Problem, state: State, spectra: Mapping[str, Spectra]) -> list[Structure]:
-    """Structure in the residuals beyond roads and noise. problem: with the extended model."""
-    peaks = _peaks(spectra, cut_offs(state.changes))
-    return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
-
-
 def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
     """Return the spectra (B blocks, F frequencies) of each equation's residual, in the residual's
     unit.
@@ -175,7 +178,7 @@ def as_loud(z: Spectra) -> Spectra:
     return np.asarray(z / np.maximum(loud, 1e-30))
 
 
-def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
+def shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
     """Find the same motion in two equations without a common sensor.
 
     Partial coherence is used: everything linear in steering and turning is removed from both, for
@@ -263,61 +266,69 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     return made
 
 
-def _peaks(
-    spectra: Mapping[str, Spectra], cut_offs: Sequence[tuple[str, float, float]] = ()
-) -> list[Structure]:
-    """Find a narrow peak: something oscillates, unless a low-pass explains it."""
-    found = []
-    for name in PEAKED:
-        if name not in spectra:
-            continue
-        z = as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
-        if len(z) < LEAST_BLOCKS:
-            continue
-        power = np.mean(np.abs(z) ** 2, axis=0)
-        hz = np.arange(len(power)) / (2.0 * (len(power) - 1) * STEP_S)
-        size = len(power) // PEAK_BINS * PEAK_BINS
-        bands = power[:size].reshape(-1, PEAK_BINS).mean(axis=1)
-        middle = hz[:size].reshape(-1, PEAK_BINS).mean(axis=1)
-        for i in range(3, len(bands) - 2):
-            if not 0.25 < middle[i] < 1.2:
-                continue
-            if any(s in TAKES[name] and a < middle[i] < b for s, a, b in cut_offs):
-                continue
-            beside = max(bands[i - 2], bands[i + 2])
-            if bands[i] > PEAK * beside and bands[i] == bands[i - 2 : i + 3].max():
-                text = (
-                    f"a peak at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times its surroundings"
-                )
-                found.append(Structure(name, "peak", float(bands[i] / beside), text))
-                break
-    return found
+# lines -------------------------------------------------------------------------------------------
 
 
-def _shaken(problem: Problem, state: State) -> list[Structure]:
-    """Find a zero error of the accelerometer that depends on its vibration."""
-    table = problem.table
-    drives = state.drives
-    if not set(BIAS) <= set(table.keys) or not all(
-        d.has("gyro") and d.channels["accel"].period_s < 1.0 / QUICK_HZ for d in drives
-    ):
-        return []
-    power = np.empty(table.blocks)
-    for b in range(table.blocks):
-        accel = drives[table.drive[b]].channels["accel"]
-        first, last = np.searchsorted(accel.t, [table.start_s[b], table.start_s[b] + table.seconds])
-        power[b] = 0.5 * np.mean(np.sum(np.diff(accel.values[first:last], axis=0) ** 2, axis=1))
-    low, high = np.quantile(power, [0.05, 0.95])
-    if not high > 2.0 * low:
-        return []
-    h = Hypothesis("accel_bias", BIAS, pattern=(power - low) / (high - low))
-    trial = tried(problem, h, held_out(problem), len(BIAS))
-    if not trial.named:
-        return []
-    i = int(np.argmax(np.abs(trial.estimate.value) / trial.estimate.se))
+def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
+    """One question for each equation, about its strongest line: something oscillates.
+
+    Everything linear in the vehicle's accelerations is removed first, since driving may be
+    periodic. A body on its springs oscillates within half a hertz, and a road excites the whole
+    band; a narrower line has another source: a fan, a pump, or a supply ripple.
+    """
+    made = []
+    for name, tau in ZEROS.items():
+        if name not in spectra or not set(DRIVEN) <= set(spectra):
+            continue
+        known = np.stack([spectra[each] for each in DRIVEN], axis=2)
+        z = spectra[name]
+        good = np.isfinite(z[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
+        if good.sum() < LEAST_BLOCKS:
+            continue
+        z = left_of_known(z[good], known[good])
+        hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
+        asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, state))
+        for s, low, high in cut_offs(state.changes):
+            if s in TAKES[name]:
+                asked &= (hz < low) | (hz > high)
+        if asked.any():
+            made.append(_question(name, z, hz, np.flatnonzero(asked), PARAMETERS[tau].tolerance))
+    return made
+
+
+def _to_hz(name: str, state: State) -> float:
+    """Upper frequency for an equation: between two samples of the speed nothing is known."""
+    if name not in OF_SPEED:
+        return BAND_HZ[1]
+    return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
+
+
+def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Question:
+    """z: (B, F) spectra of segments; asked: indices of frequencies."""
+    # One segment in fifteen must not decide.
+    kept = len(z) - one_in_fifteen(len(z))
+    power, loud = (np.sort(np.abs(x) ** 2, axis=0)[:kept].mean(axis=0) for x in (as_loud(z), z))
+    beside = np.array([_beside(power, int(i)) for i in asked])
+    count = kept - len(DRIVEN)
+    ratio = power[asked] / beside
+    best = int(np.argmax(ratio))
+    i = int(asked[best])
+    # For normal noise a segment's power is exponentially distributed, and the mean of B segments
+    # gamma distributed.
+    p = min(len(asked) * float(gamma.sf(ratio[best] * count, count)), 1.0)
+    own = slice(i - 1, i + 2)
+    rest = loud[own].sum() - 3.0 * _beside(loud, i)
+    size = float(np.sqrt(2.0 * max(rest, 0.0)))
     text = (
-        f"the zero {('forward', 'left', 'up')[i]} moves by {trial.estimate.value[i]:+.2g} +- "
-        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken segments"
+        f"a line at {hz[i]:.2f} Hz, {ratio[best]:.0f} times as strong as its surroundings, "
+        f"with an amplitude of {size:.2g} {UNITS[name]}"
     )
-    size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
-    return [Structure(f"accel_{'xyz'[i]}", GOES_WITH_SHAKING, size, text)]
+    return Question(p, bool(ratio[best] > PEAK and size > tau),
+                    Structure(name, "peak", float(ratio[best]), text))  # fmt: skip
+
+
+def _beside(power: Array, i: int) -> float:
+    """The higher of the levels on both sides, so that a slope or a broad rise does not count as a
+    line."""
+    sides = power[max(i - FAR, 1) : i - NEAR + 1], power[i + NEAR : i + FAR + 1]
+    return max(float(np.median(side)) for side in sides if len(side))

@@ -1,4 +1,5 @@
-"""Test whether an equation's residual is larger than in the drives of the model file.
+"""Test whether an equation's residual is larger in some segments than in others, or than in the
+drives of the model file.
 
 A model file may hold, by equation and band, the median residual of its drives' segments, with all
 parameters fitted in their box, and the scatter between segments. Roads differ too: from one class
@@ -9,18 +10,35 @@ residual is assumed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from itertools import pairwise, product
+
 import numpy as np
 from scipy.fft import dct
+from scipy.special import betainc, ndtr, stdtr, stdtrit
+from scipy.stats import beta, chi2
+from scipy.stats import f as fisher
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS
-from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, FamilyRow, Left, joined
+from imucald.diagnosis.fit.beside_file import (
+    LEAST_RMS,
+    ROAD_CLASS,
+    Family,
+    FamilyRow,
+    Left,
+    beside_file,
+    in_both,
+    joined,
+)
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE
-from imucald.diagnosis.fit.score import Problem
-from imucald.diagnosis.result import LOUDER
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
+from imucald.diagnosis.result import LOUDER, UNEVEN, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Mask
-from imucald.model.leaves import BANDS_HZ
+from imucald.model.leaves import BANDS_HZ, Leaves
+from imucald.model.model import VehicleModel
 
 SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
                   "gyro_y": 0.0}  # fmt: skip
@@ -28,6 +46,24 @@ SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x"
 frequency on, the chance is computed beyond a road of the next class. Well below its resonances (1
 Hz and more; Rajamani, ch. 10) the body follows the road. Its tilt is then the only lateral effect
 of the road, and the gyroscope carries it."""
+EVEN = ("accel_x", "accel_y", "accel_z")
+"""Equations whose residuals contain no effect of the road or the springs if a gyroscope carries
+gravity."""
+CARRIED_BY = "gyro_x"
+LEAST_BLOCKS = 4
+"""With fewer blocks, the median and the one block that must not decide cannot be separated."""
+CHANCE = 0.01
+"""Chance that by noise alone more than one segment in fifteen exceeds the assumed noise."""
+OF_MEDIAN = 2.0 / np.pi
+"""Ratio of the variances of mean and median for normal variables."""
+SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
+          2: "half of the segments have"}  # fmt: skip
+FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
+"""Equations that contain no unevenness of the road."""
+FAR = 6.0
+LASTING = np.linspace(-FAR, FAR, 121)
+"""Common differences of all segments from the file's, in standard deviations."""
+WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def left_of(problem: Problem, state: State) -> dict[float, Left]:
@@ -77,3 +113,102 @@ def _row(name: str, band: int) -> FamilyRow:
 
 LEAVES = Family(LOUDER, _row)
 """Residuals of segments by equation and band."""
+
+# single segments ---------------------------------------------------------------------------------
+
+
+def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
+    """Find segments whose residual exceeds their noise and the errors of a correct file: some of
+    them contain an effect that no parameter describes.
+
+    The noise is the median residual of the segments plus the scatter of single segments about it
+    (Fisher's F, because the median of few segments is inaccurate). The limit is such that more than
+    one segment in fifteen exceeds it with a chance of 1 % (binomial). In addition a segment may
+    contain the effect of parameters that are wrong by their tolerances. A single segment in fifteen
+    must not decide the result. drift: a named drift, which has no place in the model file; it is
+    fitted too.
+    """
+    table, z = problem.table, what_leaves(problem, drift)
+    found: list[Structure] = []
+    if CARRIED_BY not in table.plain:
+        return found  # the residuals contain each segment's road slope
+    for name in EVEN:
+        there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
+        if there.sum() < LEAST_BLOCKS:
+            continue
+        gram = table.plain[name][there].sum(axis=1)
+        power = np.einsum("bi,bij,bj->b", z[there], gram, z[there])
+        may = np.einsum("bjj,j->b", gram[:, 1:, 1:], table.tolerance**2)
+        count = max(1, int(2.0 * table.seconds * table.top_hz[name]))
+        middle = float(np.median(power)) * count / chi2.median(count)
+        few, n = one_in_fifteen(len(power)), len(power)
+        # Level that more than `few` of n segments exceed with that chance (Clopper, Pearson).
+        each = beta.ppf(CHANCE, few + 1, n - few)
+        noise = middle * fisher.isf(each, count, OF_MEDIAN * count * n)
+        over = np.sort((power - noise) / np.maximum(may, 1e-30))
+        size = float(over[n - few - 1])
+        if size > 1.0:
+            text = (
+                f"one segment in fifteen has {np.sqrt(size):.2g} times the residual of a correct "
+                "file, noise not counted: something acts only in these segments"
+            )
+            found.append(Structure(name, UNEVEN, float(np.sqrt(size)), text))
+    return found
+
+
+def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
+    """Test whether one segment in fifteen, in four or in two has a larger residual in an equation
+    and band than the model file states for its own drives. Only segments within the file's speeds
+    are used. left: from `left_of`."""
+    return [
+        question
+        for seconds, own in left.items()
+        for name, rms, file in in_both(own, stated.leaves, seconds, LEAST_BLOCKS)
+        for question in _of_equation(name, rms, file)
+    ]
+
+
+def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
+    """One question for each share of the segments, over all bands but the last. rms: (B, bands) of
+    each segment.
+
+    In equations with road unevenness, a segment may exceed the file in all bands by as much as in
+    the last band: a rougher road is rougher in every band (ISO 8608: all classes have the same
+    slope).
+    """
+    if name not in FLAT:
+        rms = rms / np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)
+    logs, _, _, free = beside_file(rms, file)
+    logs = logs - np.log(np.maximum(file.rms, LEAST_RMS))
+    n, few, spread = len(logs), one_in_fifteen(len(logs)), np.asarray(file.spread)
+    # Number of neighbours that count as one for a mean; for a spread it is smaller (Bartlett 1946).
+    one = np.broadcast_to((n + file.segments) / (free + 2.0), spread.shape)
+    r2 = ((one - 1.0) / (one + 1.0)) ** 2
+    known = np.maximum(file.segments * (1.0 - r2) / (1.0 + r2) - 1.0, 1.0)
+    lasting = spread * np.sqrt(one * (1.0 / n + 1.0 / file.segments) / OF_MEDIAN)
+    made = []
+    counted = {max(few + 1, n // share): words for share, words in SHARES.items()}
+    for (i, (low, high)), k in product(enumerate(pairwise(BANDS_HZ[:-1])), counted):
+        x = float(np.sort(logs[:, i])[-k])
+        # Residual that the same share of the file's own segments reaches.
+        own = max(float(spread[i] * stdtrit(known[i], 1.0 - k / (n + 1.0))), 0.0)
+        text = (
+            f"between {low:g} and {high:g} Hz {counted[k]} at least {np.exp(x):.2g} times the "
+            "median residual of the drives of the model file. In those drives, the same share of "
+            f"segments has {np.exp(own):.2g} times the median. A road of the next class gives "
+            f"{ROAD_CLASS:g} times as much. Something acts there that the model file does not "
+            "contain"
+        )
+        structure = Structure(name, LOUDER, float(np.exp(x - own)) / ROAD_CLASS, text)
+        is_large = bool(x - own - lasting[i] > np.log(ROAD_CLASS))
+        chance = _chance(x, k, n, spread[i], lasting[i], known[i])
+        made.append((chance, is_large, structure))
+    p, is_large, structure = min(made, key=lambda q: (not q[1], q[0]))
+    yield Question(min(p * len(made), 1.0), is_large, structure)
+
+
+def _chance(x: float, k: int, n: int, spread: float, lasting: float, known: float) -> float:
+    """Chance that the k-th largest of n is x or more. Single segments scatter with the file's
+    spread (Student), and all together by the uncertainty of both medians."""
+    each = stdtr(known, (lasting * LASTING - x) / max(spread, 1e-9))
+    return float(WEIGHT @ betainc(k, n - k + 1, each) + ndtr(-FAR))

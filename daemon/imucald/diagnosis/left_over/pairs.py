@@ -15,32 +15,51 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import idct
+from scipy.signal import lfilter
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, tolerance
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.added import AddedRows, level_of, rows_with, whitened
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question, chance_of_both, chance_of_large
-from imucald.diagnosis.fit.moderated import moderated
-from imucald.diagnosis.fit.sandwich import scatters
-from imucald.diagnosis.fit.score import Problem, what_leaves, without_best
-from imucald.diagnosis.left_over.conditions import (
-    CRAWL_MPS,
-    EITHER_WAY,
-    SPEEDS,
-    TO_ONE_SIDE,
-    conditions,
-)
-from imucald.diagnosis.left_over.stability import EITHER_SIDE, amount, drift_of
-from imucald.diagnosis.result import GOES_WITH_ANOTHER, Structure
+from imucald.diagnosis.fit.chance import Question, chance_of_both, chance_of_large, moderated
+from imucald.diagnosis.fit.intervals import scatters
+from imucald.diagnosis.fit.score import Hypothesis, Problem, what_leaves, without_best
+from imucald.diagnosis.left_over.courses import DELAY, EITHER_SIDE, amount
+from imucald.diagnosis.result import GOES_WITH_ANOTHER, WANDERS, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import SINGLE_NATS
-from imucald.diagnosis.signals import STEP_S
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-ZERO, GAIN, LATE = "zero", "gain", "delay"
+SMOOTH_S = 1.0
+"""Turning and braking manoeuvres last longer than this."""
+CRAWL_MPS = 3.0
+SHAKEN_S = (3.0, 10.0)
+"""Lengths of time over which vibration is averaged, up to those that a segment's tilt absorbs."""
+LARGE = (1.0, 2.0)
+"""Levels, in multiples of the rms, above which a value may leave an after-effect: octaves, so one
+lies within a factor of 1.4 of most true levels."""
+AFTER_STOP_S = 60.0
+MEMORY_S = 20.0
+"""Time constant of the memory: between the length of a bend and that of a segment."""
+SPEEDS = ("the speed", "crawling", "the time since standing")
+EITHER_WAY = (
+    "accelerating and braking", *(f"the last acceleration of {n:g} times the usual" for n in LARGE)
+)  # fmt: skip
+TO_ONE_SIDE = (
+    "the side it turns to", *(f"the last turning of {n:g} times the usual" for n in LARGE)
+)  # fmt: skip
+"""Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
+STAMPS = "the distance of its time stamps from an even cycle"
+PAUSE_S = 10.0
+"""After a longer gap a sender starts again at any phase of its cycle."""
+ENDS = (0.05, 0.95)
+BEYOND = 0.5
+"""Distance to which a condition is followed beyond the two percentiles, relative to their
+distance."""
+ZERO, GAIN, LATE, ASIDE = "zero", "gain", "delay", "place"
 PARTS = 4
 """Parts of a segment whose scatter is used: a bend or a braking lasts some seconds."""
 LEAST_PARTS = 10.0
@@ -52,9 +71,8 @@ value depends on the errors of those columns (a variance inflation factor of ten
 1970)."""
 HALF_KMH = 0.5 / 3.6
 """Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
-DELAY = "speed.delay_s"
 BEND_MPS = 10.0
-OWN: Mapping[str, tuple[tuple[str, str], str, float]] = {
+OWN: Mapping[str, tuple[tuple[str, ...], str, float]] = {
     "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
     "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
     "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
@@ -86,6 +104,7 @@ ERRORS = (
     Error("the gyroscope's zero about the left axis", "gyro", ZERO, "gyro.bias.y", 1),
     Error("the gyroscope's zero about the upward axis", "gyro", ZERO, "gyro.bias.z", 2),
     Error("the speed's zero", "speed", ZERO, ""),
+    Error("the side at which the speed is taken", "speed", ASIDE, "mount.lever_arm_m.1"),
     Error("the yaw rate's zero", "yaw_rate", ZERO, "yaw_rate.offset"),
     Error("the steering angle's zero", "steering", ZERO, "steering.offset"),
     Error("the lateral acceleration's zero", "lateral_accel", ZERO, "lateral_accel.offset"),
@@ -106,12 +125,12 @@ Asked = tuple[Error, str]
 """An error, and a condition that it may depend on."""
 
 
-def pairs(problem: Problem, state: State) -> list[Question]:
-    """One question for each error of a sensor with each condition."""
+def pairs(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
+    """One question for each error of a sensor with each condition. drift: a named drift, which has
+    no place in the model file and differs in each segment."""
     table = problem.table
     fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
-    # A named drift has no place in the model file and differs in each segment.
-    fitted[table.number] = -what_leaves(problem, drift_of(problem, state))[:, 1:]
+    fitted[table.number] = -what_leaves(problem, drift)[:, 1:]
     return asked_of(state.forwards, state.model, table, fitted)
 
 
@@ -141,9 +160,14 @@ def asked_of(
 def _can_be_asked(error: Error, condition: str) -> bool:
     """True if an error can be tested with a condition. A tyre responds after a distance, not a time
     (relaxation length, Pacejka, ch. 5), so in every vehicle the delay in turns depends on the
-    speed. A zero that depends on its own signal is a gain."""
+    speed. A zero that depends on its own signal is a gain. Stamps that leave their cycle are those
+    of the speed."""
     if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:
         return False
+    if condition == STAMPS:
+        return error.key == DELAY
+    if error.kind == ASIDE:
+        return condition == TO_ONE_SIDE[0]
     return error.kind != LATE or error.signal == "speed" or condition not in SPEEDS
 
 
@@ -180,11 +204,14 @@ def _added(
 
 
 def _unit(f: Forward, error: Error) -> Array:
-    """(N,), or (N, 3) along the vehicle: effect of a zero, a gain or a delay of 1."""
+    """(N,), or (N, 3) along the vehicle: effect of a zero, a gain or a delay of 1, or
+    of a place 1 m to the left."""
     if error.kind == ZERO:
         if error.axis is None:
             return np.ones(len(f.t))
         return np.tile(np.eye(3)[error.axis], (len(f.t), 1))
+    if error.kind == ASIDE:
+        return f.yaw_rate()
     level = level_of(f, error.signal)
     return level if error.kind == GAIN else np.asarray(-np.gradient(level, STEP_S, axis=0))
 
@@ -254,7 +281,11 @@ def _questions(
             f"{error.text} changes with {condition}: by {size} from one end to the other, "
             f"{sigma:.1f} σ ({abs(value) / may:.1f} times the limit of a correct file)"
         )
-        structure = Structure(error.signal, GOES_WITH_ANOTHER, abs(value) / may, text)
+        by_clock = condition == STAMPS
+        structure = Structure(
+            error.signal, WANDERS if by_clock else GOES_WITH_ANOTHER, abs(value) / may, text,
+            DELAY if by_clock else "",
+        )  # fmt: skip
         se = abs(value) / max(sigma, 1e-300)
         yield Question(p, is_large, structure, chance_of_large(may, se, float(count)))
 
@@ -306,3 +337,98 @@ def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
     scatter = max(float(s[0, 0]) for s in scatters(left.reshape(-1, 1), 1))
     count = max(float(h.sum() ** 2 / (h**2).sum()), 2.0)
     return abs(float(u.sum())) / float(np.sqrt(max(scatter, 1e-300))), count
+
+
+# conditions --------------------------------------------------------------------------------------
+
+
+def conditions(f: Forward) -> dict[str, Array]:
+    """(N,) by name: scaled from -0.5 at the 5th to 0.5 at the 95th percentile of the rows in
+    motion."""
+    v = f.amount_of_speed()
+    moves = v > STANDING_MPS
+    if not moves.any():
+        return {}
+    made = {SPEEDS[0]: v, SPEEDS[1]: np.exp(-v / CRAWL_MPS)}
+    if not moves.all():
+        made[SPEEDS[2]] = np.exp(-_since(~moves) / AFTER_STOP_S)
+    made |= _of(_accelerating(f), moves, "acceleration", EITHER_WAY[0])
+    if f.has_turning:
+        made |= _of(_smooth(f.yaw_rate()), moves, "turning", TO_ONE_SIDE[0])
+    made |= {f"shaking in {x:g} s": shaken(f, x) for x in SHAKEN_S}
+    made[f"shaking in {MEMORY_S:g} s"] = _remembered(shaken(f, SHAKEN_S[0]))
+    stamps = f.drive.channels["speed"].t
+    made[STAMPS] = np.interp(f.t, stamps, off_cycle(stamps))
+    ends = {name: np.quantile(x[moves], ENDS) for name, x in made.items()}
+    return {
+        name: np.clip((x - low) / (high - low), -BEYOND, 1.0 + BEYOND) - 0.5
+        for (name, x), (low, high) in zip(made.items(), ends.values(), strict=True)
+        if high > low
+    }
+
+
+def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
+    """Direction and amount of a quantity (N,), now and in the recent past. Its scale is its rms."""
+    z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
+    rows, amount = np.arange(len(z)), np.abs(z)
+    last = {n: np.maximum.accumulate(np.where(amount > n, rows, 0)) for n in LARGE}
+    return {
+        side: np.tanh(z),
+        **{f"the last {what} of {n:g} times the usual": np.sign(z[k]) for n, k in last.items()},
+        f"the amount of {what}": amount,
+        f"the amount of {what} in {MEMORY_S:g} s": _remembered(amount),
+    }
+
+
+def _accelerating(f: Forward) -> Array:
+    """(N,) slope of the speed [m/s^2]."""
+    knots: Channel = f.drive.knots
+    slopes = np.diff(knots.values) / np.diff(knots.t)
+    return _smooth(np.interp(f.t, 0.5 * (f.knots[1:] + f.knots[:-1]), slopes))
+
+
+def _smooth(x: Array) -> Array:
+    n = round(SMOOTH_S / STEP_S)
+    return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
+
+
+def _since(stands: Mask) -> Array:
+    """(N,) time since the vehicle last stood [s]; infinite before its first stop."""
+    rows = np.arange(len(stands))
+    last = np.maximum.accumulate(np.where(stands, rows, -1))
+    return np.where(last >= 0, (rows - last) * STEP_S, np.inf)
+
+
+def _remembered(x: Array) -> Array:
+    """(N,) mean of the past with exponential weights, time constant `MEMORY_S`."""
+    share = 1.0 - np.exp(-STEP_S / MEMORY_S)
+    made, _ = lfilter([share], [1.0, share - 1.0], x, zi=[x[0] * (1.0 - share)])
+    return np.asarray(made)
+
+
+def shaken(f: Forward, seconds: float) -> Array:
+    """(N,) mean square of the accelerometer's differences about each time, scaled so that the
+    smoothest and the roughest twentieth of the drive are 1 apart."""
+    accel = f.drive.channels["accel"]
+    power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
+    area = np.concatenate([[0.0], np.cumsum(power)])
+    first, last = (np.searchsorted(accel.t[1:], f.t + x * seconds) for x in (-0.5, 0.5))
+    mean = (area[last] - area[first]) / np.maximum(last - first, 1)
+    low, high = np.quantile(mean, ENDS)
+    return np.asarray((mean - low) / max(float(high - low), 1e-12))
+
+
+def off_cycle(t: Array) -> Array:
+    """(N,) delay of stamps against a constant cycle [s]. t: (N,) stamps [s], ascending.
+
+    A cyclic sender gives cyclic stamps. If stamps leave the cycle, either the sender left it or the
+    stamping clock is wrong; a delay that follows them shows the second. Steps are counted in whole
+    cycles, so a lost frame does not delay the next one.
+    """
+    steps = np.diff(t)
+    cycle = float(np.median(steps))
+    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
+    late[steps > PAUSE_S] = 0.0
+    total = np.concatenate([[0.0], np.cumsum(late)])
+    line = np.column_stack([np.ones(len(t)), t - t.mean()])
+    return np.asarray(total - line @ np.linalg.lstsq(line, total, rcond=None)[0])

@@ -20,10 +20,8 @@ from imucald.diagnosis.fit.score import Problem, held_out, paired
 from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
 from imucald.diagnosis.search.standing import (
-    asked_again,
     demote,
     eliminate,
-    let_go,
     set_aside,
     simplify,
     where_it_leads,
@@ -50,10 +48,9 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
     """Name the causes that improve the prediction, one after another. Then refit all, and drop
     those that no longer help. Other causes may take the place of a dropped one, which is not named
     again."""
-    dropped: list[str] = []
     fallen: set[str] = set()
     while True:
-        dropped += _grown(state, tick, late, [*skip, *dropped], fallen)
+        _grown(state, tick, late, skip, fallen)
         eliminate(state, late)
         demote(state)
         _beside_rivals(state, late)
@@ -63,7 +60,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
             break
     delay_or_low_pass(state)
     if state.doubtful:
-        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
+        state.last = _trials(state.evaluated(), state, skip)
     known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
     if state.shift is None:
         state.likely = [
@@ -82,13 +79,12 @@ def _is_ended(state: State) -> bool:
 
 def _grown(
     state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
-) -> list[str]:
-    """Name the causes that improve the prediction, one after another. Returns the parameters of
-    those that no longer do. fallen: causes that are not named again."""
-    dropped: list[str] = []
+) -> None:
+    """Name the causes that improve the prediction, one after another. fallen: causes that are not
+    named again."""
     while len(state.named) < MOST_NAMED and not late():
         problem = state.evaluated()
-        state.last = _trials(problem, state, [*skip, *dropped])
+        state.last = _trials(problem, state, skip)
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
         best = _winner(open_to) or _where_it_leads(problem, replace(state, last=open_to))
         shift = None if state.left_out else find_shift(problem, problem.table.levels)
@@ -104,11 +100,7 @@ def _grown(
         alike = _alike(best, state.last)
         best, edge = _from_the_edge(problem, state, best)
         chosen = next(
-            (
-                t
-                for t in [best, *alike, *_behind(best, state.last)]
-                if t.is_plausible and t.hypothesis.name not in fallen
-            ),
+            (t for t in [best, *alike] if t.is_plausible and t.hypothesis.name not in fallen),
             None,
         )
         if chosen is None:
@@ -132,8 +124,6 @@ def _grown(
         _take(state, problem, chosen)
         refit(state)
         simplify(state, chosen)
-        dropped += let_go(state)
-    return dropped
 
 
 def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
@@ -204,27 +194,17 @@ def _is_form_of(t: Trial, best: Trial) -> bool:
 
 def _where_it_leads(problem: Problem, state: State) -> Trial | None:
     """The best of the causes that pass where their step leads, but fail at the stated file."""
-    found = []
-    for t in state.last:
-        if t.may_lead:
-            found.append(where_it_leads(state, problem, t))
+    found = [where_it_leads(state, problem, t)[0] for t in state.last if t.may_lead]
     passing = [t for t in found if t.named and t.is_plausible]
     return max(passing, key=lambda t: t.gain.sum(), default=None)
 
 
 def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
-    """Test a cause again at the edge of its plausible range, if its step leads beyond. A column is
-    a derivative: for a ratio that is a third lower, a linear step leads to half of it. Returns the
+    """A cause whose step leads beyond its plausible range, tested again at its edge. Returns the
     trial, and the step to the tested place; no step if this did not help."""
     if best.is_plausible or not best.hypothesis.is_plain:
         return best, {}
-    table, step = problem.table, problem.moves(best.hypothesis)
-    for key, x in step.items():
-        low, high = table.plausible[table.keys.index(key)]
-        step[key] = float(np.clip(x, low, high))
-    there = replace(state, changes=dict(state.changes), table=None)
-    there.apply(step)
-    again = asked_again(there, best)
+    again, step = where_it_leads(state, problem, best)
     return (again, step) if again.named and again.is_plausible else (best, {})
 
 
@@ -246,15 +226,6 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
         if behind <= max(ALIKE_SE * se, best.needed):
             found[name] = t
     return list(found.values())
-
-
-def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Return the causes that pass with at least half the gain of an implausible explanation. They
-    are tried in its place."""
-    if best.is_plausible:
-        return []
-    passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
-    return sorted(passing, key=lambda t: -t.gain.sum())
 
 
 def _take(state: State, problem: Problem, chosen: Trial) -> None:

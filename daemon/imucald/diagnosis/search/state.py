@@ -19,9 +19,8 @@ from imucald.diagnosis.cause_keys import (
 )
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.blocks import KeptTables, Table
 from imucald.diagnosis.fit.intervals import Estimate, estimate, quantile
-from imucald.diagnosis.fit.kept_tables import KeptTables
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.search.shift import FittedShift
 from imucald.diagnosis.search.trials import Trial

@@ -1,0 +1,329 @@
+"""Find zeros, gains and delays that change from segment to segment of a drive.
+
+A parameter of the model file is one number. If the segments' best numbers differ by more than their
+errors and the tolerances of a correct file, there is an effect that no parameter describes. Each
+way to differ is one row of `COURSES`: a linear map of the segments' scores, and the size of its
+result. The chance of each comes from permutations of the same segments. Every zero and gain is
+tested, even if it was not found to be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
+
+from imucald.core.arrays import Array
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import Question
+from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
+from imucald.diagnosis.outcome import SEEN_SHARE, first_signal
+from imucald.diagnosis.result import WANDERS, Structure
+from imucald.diagnosis.search.state import State
+from imucald.diagnosis.search.trials import hypotheses, on_table
+from imucald.mount.mount_words import SD_95
+
+ASKED = ("bias", "scale", "offset")
+"""Parts of the tested keys, which every sensor has. Other delays than the speed's, lever arm and
+springs are not tested: they absorb errors of the tyre equations, which depend on the speed also in
+drives without an effect."""
+DELAY = "speed.delay_s"
+"""Asked whether it steps, next to its linear growth (two clocks)."""
+LAGS = (1, 2, 3)
+"""Numbers of neighbouring segments, half a minute to a minute and a half: longer than a manoeuvre.
+The duration of an effect is not known, so each is tested."""
+LEAST_SIDE = 3
+"""Fewest segments on either side of a moment."""
+ORDERS, KEPT = 1000, 100
+"""Permutations of the segments drawn at each level, and how many of them must reach the next
+level."""
+MOST_LEVELS = 8
+"""Largest number of levels. It reaches a chance of 1e-8, less than any family of questions
+needs."""
+LEAST_WAVES = 3
+"""Slower oscillations within a drive count as wandering."""
+LEAST_BLOCKS = 8
+EVENLY = 3.0**-0.5
+"""Standard deviation of a uniform distribution within a tolerance, over the tolerance."""
+EITHER_SIDE = 2.0
+"""Width of the allowed range of a correct file, as a multiple of the tolerance."""
+OWN = 3
+"""Numbers fitted to each segment, which reduce its noise: two tilts and the value itself."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """A parameter's evidence by segment (B,): information, and departures from the fit that add up
+    to zero. known: (B, k) courses that the fit contains."""
+
+    h: Array
+    s: Array
+    known: Array
+    table: Table
+
+
+@dataclass(frozen=True)
+class Course:
+    """One way to change, for one parameter."""
+
+    image: Array
+    """(B, F) linear map of the scores."""
+    size_of: Callable[[Array], Array]
+    """(N, F) results to (N,) sizes; the largest is the rarest."""
+    value: float
+    """Amount of the change, in the parameter's unit."""
+    rare: Callable[[float], float]
+    """Chance that noise makes an amount beyond a limit."""
+    text: str
+
+
+def drift_of(problem: Problem, state: State) -> Hypothesis | None:
+    """The named drift, which has no place in the model file; None without one."""
+    drifts = (t.hypothesis for t in state.named if t.hypothesis.pattern is not None)
+    return next((on_table(h, problem.table) for h in drifts), None)
+
+
+def courses(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
+    """Questions about zeros, gains and the speed's delay that change during the drives. drift: a
+    named drift, which has no place in the model file; it is fitted too."""
+    if problem.table.blocks < LEAST_BLOCKS:
+        return []
+    return [*by_course(problem, drift), *gains_apart(problem, state, drift)]
+
+
+def by_course(problem: Problem, drift: Hypothesis | None) -> Iterator[Question]:
+    """One question for each parameter and row of `COURSES`."""
+    table, z = problem.table, what_leaves(problem, drift)
+    for j, key in enumerate(table.keys):
+        h = table.gram[:, j + 1, j + 1]
+        if not (h.any() and (key == DELAY or any(part in ASKED for part in key.split(".")))):
+            continue
+        s = np.einsum("bi,bi->b", table.gram[:, j + 1], z)
+        known = [np.ones(len(h))]
+        if key == DELAY:
+            known.append(table.start_s + table.seconds * table.blocks * table.drive)
+        if drift is not None and drift.pattern is not None and key in drift.keys:
+            known.append(drift.pattern)
+        scores = Scores(h, s - h * (s.sum() / h.sum()), np.column_stack(known), table)
+        may = float(table.tolerance[j] + SD_95 * table.model_error[j])
+        for find, sides in COURSES if key != DELAY else COURSES[-1:]:
+            found = find(scores)
+            if found is None:
+                continue
+            size = found.value / (sides * may)
+            text = f"{key} {found.text.format(amount(key, found.value))}"
+            p = _share_of_orders(scores.s, found.image, found.size_of)
+            yield _question(table, key, p, size, text, found.rare(sides * may))
+
+
+def _question(table: Table, key: str, p: float, size: float, text: str, rare: float) -> Question:
+    text = f"{text} ({size:.1f} times the limit of a correct file)"
+    structure = Structure(first_signal(table, [key]), WANDERS, size, text, key)
+    return Question(p, size > 1.0, structure, min(rare, 1.0))
+
+
+# rows --------------------------------------------------------------------------------------------
+
+
+def _near(x: Scores, lag: int) -> Course:
+    """Neighbours share a departure that the whole drive does not show.
+
+    Of scores s_b with information h_b, s_b s_(b+l) has the expectation h_b h_(b+l) sigma^2, where
+    sigma is the standard deviation of the parameter's wander.
+    """
+    together = partial(_shared, lag=lag)
+    info = max(float(together(x.h)), 1e-300)
+    # For random permutations the sum scatters about zero by this much.
+    scatter = max(np.sqrt(lag / len(x.s)) * float(x.s @ x.s), 1e-300)
+    return Course(
+        np.eye(len(x.s)), together, float(np.sqrt(max(float(together(x.s)), 0.0) / info)),
+        lambda limit: float(student.sf(limit**2 * info / scatter, len(x.s) - 1)),
+        "changes by {} from piece to piece of the drive",
+    )  # fmt: skip
+
+
+def _swing(x: Scores) -> Course | None:
+    """Segments one period apart agree: the strongest of all waves.
+
+    If a parameter oscillates by A cos(w t), sum s_b e^(i w t) has the expectation A/2 sum h_b. Each
+    drive has its own phase.
+    """
+    table, hz = x.table, _frequencies(x.table)
+    if not len(hz):
+        return None
+    apart = np.eye(int(table.drive.max()) + 1)[table.drive]
+    waves = np.exp(2j * np.pi * np.outer(table.start_s, hz))
+    image = (apart[:, :, None] * waves[:, None, :]).reshape(table.blocks, -1)
+
+    def power(z: Array) -> Array:
+        """(N, F) power of the drives' sums along the waves (N, D F)."""
+        return np.asarray((np.abs(z.reshape(len(z), -1, len(hz))) ** 2).sum(axis=1))
+
+    own, info = power((x.s @ image)[None])[0], float(np.sum((x.h @ apart) ** 2)) / 2.0
+    noise = max(float(x.s @ x.s), 1e-300)
+    # By chance, a wave's power is exponentially distributed with the sum of squares as its mean.
+    return Course(
+        image, lambda z: np.asarray(power(z).max(axis=1)), float(np.sqrt(own.max() / info)),
+        lambda limit: len(hz) * float(np.exp(-(limit**2) * info / noise)),
+        f"changes back and forth by {{}} every {1.0 / hz[own.argmax()]:.0f} s, or faster than "
+        "segments can show",
+    )  # fmt: skip
+
+
+def _frequencies(table: Table) -> Array:
+    """(F,) frequencies of waves that repeat within a drive, up to one wave per two segments
+    [Hz]."""
+    last = [float(np.ptp(table.start_s[table.drive == d])) for d in np.unique(table.drive)]
+    whole = max(last) + table.seconds
+    return np.arange(LEAST_WAVES, int(whole / (2.0 * table.seconds)) + 1) / whole
+
+
+def _step(x: Scores) -> Course | None:
+    """The parameter is another one from some moment on, fitted together with the known courses."""
+    B = len(x.s)
+    after = np.arange(B)[:, None] >= np.arange(LEAST_SIDE, B - LEAST_SIDE + 1)
+    weighted = (x.known * x.h[:, None]).T
+    fitted = np.linalg.lstsq(weighted @ x.known, weighted @ after, rcond=None)[0]
+    by: Array = after - x.known @ fitted
+    info = x.h @ by**2
+    there = np.flatnonzero(info > 1e-6 * (x.h @ after))
+    if not len(there):
+        return None
+    image, info = by[:, there] / np.sqrt(info[there]), info[there]
+    z = np.abs(x.s @ image)
+    best = int(z.argmax())
+    noise = np.sqrt(max(float(x.s @ x.s) / B, 1e-300)) * np.linalg.norm(image, axis=0)
+    return Course(
+        image, lambda z: np.asarray(np.abs(z).max(axis=1)), float(z[best] / np.sqrt(info[best])),
+        lambda limit: float(2.0 * norm.sf(limit * np.sqrt(info) / noise).sum()),
+        f"differs by {{}} from {_moment(x.table, LEAST_SIDE + int(there[best]))} on",
+    )  # fmt: skip
+
+
+def _moment(table: Table, segment: int) -> str:
+    """Start of a segment in words; with several drives, also which drive."""
+    at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
+    return at if not table.drive.any() else f"{at} of drive {drive + 1}"
+
+
+COURSES: tuple[tuple[Callable[[Scores], Course | None], float], ...] = (
+    *((partial(_near, lag=lag), EVENLY) for lag in LAGS), (_swing, EVENLY), (_step, EITHER_SIDE),
+)  # fmt: skip
+"""Each way with the number of tolerances that it may make in a correct file: the standard deviation
+of what lies anywhere within the tolerance, or the distance of its ends."""
+
+
+def _shared(s: Array, lag: int) -> Array:
+    """Sum of the products of neighbours up to a lag: (..., B) to (...)."""
+    return np.asarray(
+        sum(np.einsum("...b,...b->...", s[..., n:], s[..., :-n]) for n in range(1, lag + 1))
+    )
+
+
+def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) -> float:
+    """Share of all permutations of s (B,) with at least the size of the actual order. image: (B,
+    F), linear map of s. size_of: maps its result (N, F) to sizes (N,).
+
+    Subset simulation (Au and Beck 2001): levels are set so that a tenth of the permutations at one
+    level reach the next. New permutations are made from these by exchanging two places; an exchange
+    that would fall below the level is rejected. Therefore a share of 1e-6 takes six times as many
+    draws as a share of a tenth, not 1e5 times.
+    """
+    rng, rows, share = np.random.default_rng(0), np.arange(ORDERS), 1.0
+    x = s[np.argsort(rng.random((ORDERS, len(s))), axis=1)]
+    z = x @ image
+    got, size = size_of((s @ image)[None])[0], size_of(z)
+    for _ in range(MOST_LEVELS):
+        level = np.sort(size)[-KEPT]
+        if level >= got:
+            break
+        reach = np.flatnonzero(size >= level)
+        share *= len(reach) / ORDERS
+        drawn = rng.choice(reach, ORDERS)
+        x, z, size = x[drawn], z[drawn], size[drawn]
+        for _ in range(len(s)):
+            i, k = rng.integers(len(s), size=(2, ORDERS))
+            by = x[rows, k] - x[rows, i]
+            other = z + by[:, None] * (image[i] - image[k])
+            new = size_of(other)
+            stays = new < level
+            z, size = np.where(stays[:, None], z, other), np.where(stays, size, new)
+            by[stays] = 0.0
+            x[rows, i] += by
+            x[rows, k] -= by
+    return share * float((1 + np.sum(size >= got)) / (ORDERS + 1))
+
+
+# random effects ----------------------------------------------------------------------------------
+
+
+def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> Iterator[Question]:
+    """Gains whose values in single segments differ by more than their own errors, in any order
+    (random effects). Zeros are not tested, because a segment's own zero absorbs the effect of its
+    road."""
+    table, z = problem.table, what_leaves(problem, drift)
+    for h in hypotheses(table, state.model, []):
+        if h.pattern is not None or any(key.split(".")[1] != "scale" for key in h.keys):
+            continue
+        for k, (key, error) in enumerate(zip(h.keys, problem.model_error(h), strict=True)):
+            d = np.zeros(z.shape[1])
+            for name, factor in (h.directions[k] if h.directions else {key: 1.0}).items():
+                d[table.keys.index(name) + 1] = factor
+            x, variance = _own_values(table, d, z)
+            if len(x) < LEAST_BLOCKS:
+                continue
+            limit = EVENLY * (table.tolerance[table.keys.index(key)] + SD_95 * error)
+            size, p = _scatter(x, variance, limit)
+            text = f"{key} changes from segment to segment by {amount(key, size)}"
+            yield _question(table, key, p, size / limit, text, 1.0)
+
+
+def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
+    """Departure of each segment from the fit along a direction d (P+1,), and its variance from the
+    segment's own noise in each equation that shows the direction."""
+    energy = {n: np.einsum("i,bij,j->b", d, g, d) for n, g in table.by_equation.items()}
+    total = sum(float(e.sum()) for e in energy.values())
+    score, information, spread = np.zeros((3, table.blocks))
+    for name, gram in table.by_equation.items():
+        h = energy[name]
+        if h.sum() <= SEEN_SHARE * total:
+            continue
+        s = np.einsum("i,bij,bj->b", d, gram, z)
+        power = np.einsum("bi,bij,bj->b", z, gram, z)
+        power = power - np.divide(s**2, h, out=np.zeros_like(h), where=h > 0.0)
+        count = int(2.0 * table.seconds * table.top_hz[name])
+        score, information = score + s, information + h
+        spread = spread + h * np.maximum(power, 0.0) / max(count - OWN, 1)
+    there = (information > 0.0) & (spread > 0.0)
+    x = score[there] / information[there]
+    return x, spread[there] / information[there] ** 2
+
+
+def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
+    """Standard deviation between segments beyond their errors (DerSimonian and Laird 1986), and the
+    chance of their scatter (Cochran 1954) if the true values scatter by `may`. One segment in
+    fifteen must not decide."""
+    far = (x - np.median(x)) ** 2 / (variance + may**2)
+    kept = np.argsort(far)[: len(x) - one_in_fifteen(len(x))]
+    x, variance = x[kept], variance[kept]
+    w = 1.0 / variance
+    excess = float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
+    size = float(np.sqrt(max(excess, 0.0) / (w.sum() - w @ w / w.sum())))
+    w = 1.0 / (variance + may**2)
+    power = float(w @ (x - w @ x / w.sum()) ** 2)
+    return size, float(chi2.sf(power, len(x) - 1))
+
+
+def amount(key: str, x: float) -> str:
+    """Text of a number of the model file in a familiar unit."""
+    unit = PARAMETERS[key].unit
+    if unit.startswith("rad"):
+        x, unit = float(np.degrees(x)), f"deg{unit.removeprefix('rad')}"
+    elif unit in ("", "1"):
+        x, unit = 100.0 * x, "%"
+    return f"{x:.2g} {unit}"
