@@ -1,10 +1,15 @@
 """The compiled part of the package (`imucald.core.compiled`); all else stands in pyproject.toml.
 
-It is optional: without a C compiler the package is installed without it, and works the same.
-IMUCALD_COMPILED=0 leaves it out, which gives a wheel for every processor.
+Where Python's headers are there and no C compiler is, as in many containers, the build brings one:
+zig's, a wheel of 100 MB. The part is optional: a package whose part cannot be compiled is installed
+without it, and works the same.
+IMUCALD_COMPILED=0 leaves it out, and the compiler too, which gives a wheel for every processor.
 """
 
 import os
+import shutil
+import sys
+import sysconfig
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,6 +20,20 @@ from setuptools.command.build_ext import build_ext
 FOLDER = Path("daemon/imucald/core/kernels")
 FLUSHING = ("-Ofast", "-ffast-math", "-funsafe-math-optimizations")
 """With these in CFLAGS gcc links what flushes small numbers to zero, in the whole process."""
+ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
+"""Without the last, it compiles for the processor at hand alone."""
+LEFT_OUT = os.environ.get("IMUCALD_COMPILED") == "0"
+
+
+def has_compiler() -> bool:
+    """Whether the compiler that setuptools would call is there."""
+    name = os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
+    return os.name != "posix" or shutil.which(name.split()[0]) is not None
+
+
+def has_headers() -> bool:
+    """Whether Python's headers are there; Debian has them in a package of their own."""
+    return (Path(sysconfig.get_path("include")) / "Python.h").exists()
 
 
 class BuildKernels(build_ext):
@@ -29,6 +48,9 @@ class BuildKernels(build_ext):
         Path(self.get_ext_fullpath(ext.name)).unlink(missing_ok=True)
         if linker := getattr(self.compiler, "linker_so", None):
             self.compiler.linker_so = [flag for flag in linker if flag not in FLUSHING]
+        if not has_compiler():
+            linker = [*ZIG, "-shared"]
+            self.compiler.set_executables(compiler_so=[*ZIG, "-fPIC"], linker_so=linker)
         one = self.compiler.compile
 
         def several(sources, **options):
@@ -70,8 +92,8 @@ def kernels() -> Extension:
 
 
 if __name__ == "__main__":
-    left_out = os.environ.get("IMUCALD_COMPILED") == "0"
     setup(
-        ext_modules=[] if left_out else [kernels()],
+        ext_modules=[] if LEFT_OUT else [kernels()],
+        setup_requires=["ziglang"] if not LEFT_OUT and has_headers() and not has_compiler() else [],
         cmdclass={"build_ext": BuildKernels},
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.core.arrays import Array, Flags, true_runs
+from imucald.core.arrays import Array, Flags, distinct, true_runs
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import TICK_S
 
@@ -57,7 +57,8 @@ def means_between(x: Array, knots: Array, use: Flags) -> Array:
     """
     n = len(x)
     breaks = np.flatnonzero(use[1:] != use[:-1]) + 1.0
-    ends = np.unique(np.concatenate([[0.0, float(n)], breaks, knots[(knots > 0.0) & (knots < n)]]))
+    inside = knots[(knots > 0.0) & (knots < n)]
+    ends = distinct(np.concatenate([[0.0, float(n)], breaks, inside]))
     long = np.diff(ends) > DENSE
     if not long.any():
         return x

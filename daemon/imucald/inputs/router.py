@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.e2e.protection import DOUBLED
+from imucald.core.arrays import distinct
 from imucald.core.samples import width_of
 from imucald.inputs.column_samples import (
     ColumnSamples,
@@ -387,7 +388,7 @@ class Router:
             bad = codes > 0
             if bad.any():
                 events.append(rows[bad])
-                for code in np.unique(codes[bad]).tolist():
+                for code in distinct(codes[bad]).tolist():
                     self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
                 if tap.complete:
                     refused.append((tap, rows[bad]))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch, Payloads
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, DecodePlan
 from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
+from imucald.core.arrays import distinct
 from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.sender_choice import SenderChoice
@@ -132,7 +133,7 @@ class MessageRoute:
         if ok.all():
             return ok, {}
         return ok, {
-            REASONS[code]: np.flatnonzero(codes == code) for code in np.unique(codes[~ok]).tolist()
+            REASONS[code]: np.flatnonzero(codes == code) for code in distinct(codes[~ok]).tolist()
         }
 
     def number_columns(
@@ -224,7 +225,7 @@ class RawRoute:
         if self.checker is not None:
             codes = self.checker.check_columns(t, frames.data, frames.length)
         codes[(codes == OK) & (frames.length < self._value.needs)] = SHORT
-        found = np.unique(codes[ours & (codes != OK)]).tolist()
+        found = distinct(codes[ours & (codes != OK)]).tolist()
         reasons = {REASONS[code]: np.flatnonzero(ours & (codes == code)) for code in found}
         return ours & (codes == OK), reasons
 

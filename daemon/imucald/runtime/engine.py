@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
+from imucald.core.arrays import distinct
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import times_level
 from imucald.inputs.column_samples import Routed
@@ -370,7 +371,9 @@ class Engine:
             if bad is None:
                 lost[channel] = np.zeros(0, np.int64)
                 continue
-            rows = np.unique(bad) if series is None else np.setdiff1d(bad, series.row)
+            rows = distinct(bad)
+            if series is not None:
+                rows = rows[~np.isin(rows, series.row)]
             lost[channel] = rows[self._spaced[channel].among(t[rows])]
         return lost
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
-from imucald.core.arrays import Array, Flags, inverse, solved
+from imucald.core.arrays import Array, Flags, inverse, median, solved
 from imucald.core.rotations import (
     Matrix3,
     levelling_rotation,
@@ -767,7 +767,7 @@ class Evidence:
         )
         self.delay_std = min(math.sqrt(spread), self._late.std) if known.any() else math.inf
         gain = np.bincount(wd.BAND, answer) / np.bincount(wd.BAND, power)
-        follows = gain >= FOLLOWS * np.median(gain[:3])
+        follows = gain >= FOLLOWS * median(gain[:3])
         until = max(int(np.argmax(np.r_[~follows, True])), 3)
         self._bands = np.arange(wd.BANDS) < until
         if abs(best) > MOST_LATE and self._axes is not None:
