@@ -73,19 +73,19 @@ def test_a_frame_that_must_not_be_used_is_not(bad):
 @pytest.mark.parametrize("ended", [frame(1, quality=0, x=-32768), frame(1, quality=4)])
 def test_a_value_does_not_stand_where_its_frame_says_that_it_must_not_be_used(ended):
     frames = CorrectedFrames(CONFIG)
-    frames.take(0.0, 0x640, frame(0, 400))
+    frames.take_frame(0.0, 0x640, frame(0, 400))
     assert frames.means(0.1)["acceleration"] is not None
-    frames.take(0.11, 0x640, ended)
+    frames.take_frame(0.11, 0x640, ended)
     assert frames.means(0.2)["acceleration"] is None
 
 
 def test_the_quality_of_a_mean_is_the_lowest_of_its_frames():
     frames = CorrectedFrames(CONFIG)
     for i, quality in enumerate((3, 2, 3)):
-        frames.take(0.01 * i, 0x640, frame(i, quality=quality))
+        frames.take_frame(0.01 * i, 0x640, frame(i, quality=quality))
     frames.means(0.1)
     assert frames.quality["acceleration"] == 2
-    frames.take(0.11, 0x640, frame(3))
+    frames.take_frame(0.11, 0x640, frame(3))
     frames.means(0.2)
     assert frames.quality["acceleration"] == 3
 

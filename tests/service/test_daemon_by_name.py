@@ -38,7 +38,13 @@ def daemon_of_the_configuration(
 ) -> Iterator[StatusServer]:
     """Its channel stands in the configuration: the socket's name does not have it."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    status = {"link": {"channel": CHANNEL}}
+    status = {
+        "state": "fine",
+        "quality": 3,
+        "mount": {},
+        "link": {"channel": CHANNEL},
+        "config": "",
+    }
     server = StatusServer(tmp_path / "imucald-bus.sock", lambda: status)
     ended = threading.Event()
 

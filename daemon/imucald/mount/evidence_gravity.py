@@ -40,8 +40,8 @@ def share_of_one_place(metres: float, length: float) -> float:
 
     length: correlation length of the slope [m].
     """
-    q = max(metres / length, 1e-3)
-    return 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+    q = metres / length
+    return 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q) if q > 1e-3 else 1.0
 
 
 class GravityEvidence:
