@@ -22,6 +22,7 @@ from imucald.config import LoadedConfig, load_config
 from imucald.config_check.checker import Check
 from imucald.core.errors import ImucaldError
 from imucald.core.rotations import vector_from_rotation
+from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import MountState
 from imucald.mount.mount_words import is_move
 from imucald.mount.signal_blocks import SignalBlock
@@ -48,8 +49,7 @@ class Watch:
     moves: list[dict[str, Any]] = field(default_factory=list)
     said: dict[str, dict[str, Any]] = field(default_factory=dict)
     learnt: int = 0
-    """Ticks of driving that something was learnt from, and all of them."""
-    driven: int = 0
+    """Ticks of driving that something was learnt from."""
     until: float = 0.0
     """Time of the last whole block [s]: what comes after it nobody has looked at yet."""
     last: Snapshot | None = None
@@ -74,11 +74,14 @@ class Watch:
         if self.last is not None:
             self.said["end"] = said(self.base, self.last)
 
+    def drives(self, t: Array) -> NDArray[np.bool_]:
+        """Whether the vehicle drives at times (N,)."""
+        speed = self.base.samples["speed"]
+        return np.asarray(np.interp(t, speed.t, np.abs(speed.values)) > MOVING_MPS)
+
     def block(self, p: SignalBlock) -> None:
         """Count a block's ticks of driving, by the truth's speed."""
-        speed = self.base.samples["speed"]
-        drives = np.interp(p.t, speed.t, np.abs(speed.values)) > MOVING_MPS
-        self.driven += int(drives.sum())
+        drives = self.drives(p.t)
         self.until = float(p.t[-1])
         use = p.learn & p.ok_force & p.ok_speed
         self.learnt += int((drives & use).sum())
@@ -154,7 +157,7 @@ def replayed(base: Base, loaded: LoadedConfig, log: Path) -> dict[str, Any]:
     reader = LogReader([log], router.matches, cycles=router.stated_cycles)
     summary = Replay(engine, reader).run()
     watch.at_end()
-    driving = round(10.0 * float(base.driven(np.array(watch.until))))
+    driving = int(watch.drives(np.arange(0.0, watch.until, TICK_S)).sum())
     details = summary["details"]
     return {
         "usable_s": summary["first_usable_s"],
