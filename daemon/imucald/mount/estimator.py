@@ -757,8 +757,8 @@ def _block(p: SignalBlock, signals: OtherSignals) -> Block:
     if signals.gyro:
         use &= p.had_rate
         known = bool(p.ok_rate.any())
-        zero = known, p.gyro_bias
-        return Block(p.force, p.rate, speed, use, *zero, knots, p.least_speed, p.rest)
+        of_rate = known, p.gyro_bias, p.rate_walk
+        return Block(p.force, p.rate, speed, use, *of_rate, knots, p.least_speed, p.rest)
     if signals.turns:
         use &= p.ok_yaw
     rate = np.zeros_like(p.rate)

@@ -202,6 +202,7 @@ ANY_DELAY: Final = DelayPrior()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
 """The vertical without a gyroscope: level."""
 NO_ZERO: Final = np.zeros(3)
+NO_WALK: Final = np.zeros((3, 3))
 NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
 NO_ARM: Final = (0.0, 0.0, 0.0)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
@@ -221,7 +222,8 @@ class Block(NamedTuple):
     speed: (64,) [m/s], negative in reverse; where there is none, it shows rest and the gear alone.
     rest: (64,) True where the vehicle is as still as a parked one. use: (64,) True for usable
     ticks. rate_zero: (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it
-    was measured. knots: (K,) times at which the speed is known [ticks since the block began].
+    was measured. rate_walk: (3, 3) growth of the variance of an angle summed from the rate
+    [rad^2/s]. knots: (K,) times at which the speed is known [ticks since the block began].
     least_speed: smallest speed that its sender shows [m/s].
     """
 
@@ -231,6 +233,7 @@ class Block(NamedTuple):
     use: Flags
     is_rate_known: bool = True
     rate_zero: Array = NO_ZERO
+    rate_walk: Array = NO_WALK
     knots: Array = MIDDLES
     least_speed: float = 0.0
     rest: Flags = NO_REST
@@ -493,7 +496,7 @@ class Evidence:
             for k, b in enumerate(self._blocks[first:stop]):
                 part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
                 ticks = left[part], rate[part], speed[part], accel[part]
-                self._drift.add(*ticks, b.use, V @ b.rate_zero)
+                self._drift.add(*ticks, b.use, V @ b.rate_zero, V @ b.rate_walk @ V.T)
             self._followed = stop
 
     def _in_axes(
