@@ -32,24 +32,24 @@ def test_the_walk_of_white_samples_is_their_variance_times_the_time_between_them
     times = SPACING * np.arange(4000) + 0.02 * rng.uniform(size=4000)
     sizes = np.array([0.1, 0.05, 0.0])
     rates = sizes * rng.standard_normal((4000, 3))
-    walk = sampling_walk(times, rates, ACCEL_GAP)
+    walk = sampling_walk(times, rates, np.ones(4000), ACCEL_GAP)
     assert np.diag(walk) == pytest.approx(sizes**2 * SPACING, rel=0.1)
     summed = np.cumsum(rates * np.gradient(times)[:, None], axis=0)
     apart = summed[25::25] - summed[:-25:25]  # 6 s
     assert np.var(apart[:, 0]) == pytest.approx(walk[0, 0] * 25 * SPACING, rel=0.3)
 
 
-def test_slow_turning_and_samples_in_every_tick_make_no_walk() -> None:
+def test_slow_turning_and_means_of_several_samples_make_no_walk() -> None:
     times = SPACING * np.arange(400)
     slow = 0.1 * np.sin(2.0 * np.pi * 0.05 * times)[:, None] * np.ones(3)
-    assert np.abs(sampling_walk(times, slow, ACCEL_GAP)).max() < 1e-6
+    assert np.abs(sampling_walk(times, slow, np.ones(400), ACCEL_GAP)).max() < 1e-6
     rng = np.random.default_rng(2)
-    often = 0.1 * np.arange(400)
-    assert not sampling_walk(often, rng.standard_normal((400, 3)), ACCEL_GAP).any()
-    assert not sampling_walk(times[:2], slow[:2], ACCEL_GAP).any()
+    means = 0.1 * rng.standard_normal((400, 3))
+    assert not sampling_walk(times, means, np.full(400, 3), ACCEL_GAP).any()
+    assert not sampling_walk(times[:2], slow[:2], np.ones(2), ACCEL_GAP).any()
 
 
-@pytest.mark.parametrize(("spacing", "walks"), [(SPACING, True), (0.01, False)])
+@pytest.mark.parametrize(("spacing", "walks"), [(SPACING, True), (0.1, True), (0.01, False)])
 def test_blocks_say_how_far_the_angle_walks(spacing: float, walks: bool) -> None:
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 20.0, spacing)
@@ -65,7 +65,7 @@ def test_blocks_say_how_far_the_angle_walks(spacing: float, walks: bool) -> None
             found.append(maker.block().rate_walk)
     assert found
     if walks:
-        expected = SHAKING**2 * SPACING
+        expected = SHAKING**2 * spacing
         assert 0.3 < np.trace(found[-1]) / (3.0 * expected) < 3.0
     else:
         assert not found[-1].any()
@@ -92,7 +92,11 @@ def seldom_sampled(
         force += 0.05 * rng.standard_normal(force.shape)
         if k >= 100:
             force = force @ R_moved
-        walk = sampling_walk(times, samples, ACCEL_GAP) if is_stated else np.zeros((3, 3))
+        walk = (
+            sampling_walk(times, samples, np.ones(len(times)), ACCEL_GAP)
+            if is_stated
+            else np.zeros((3, 3))
+        )
         p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=walk)
         tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), np.zeros(3), sure=True)
         found.append(tracker.steps.found(np.eye(3)))
@@ -157,7 +161,7 @@ def shaken(rng: np.random.Generator, noise: float) -> tuple[Array, Array]:
     samples = noise * rng.standard_normal((len(times), 3))
     ticks = 0.1 * np.arange(BLOCK_TICKS)
     rate = np.column_stack([np.interp(ticks, times, samples[:, i]) for i in range(3)])
-    return rate, sampling_walk(times, samples, ACCEL_GAP)
+    return rate, sampling_walk(times, samples, np.ones(len(times)), ACCEL_GAP)
 
 
 def test_noise_that_lines_between_samples_hide_is_no_bend_either() -> None:

@@ -34,7 +34,6 @@ ENOUGH_S = {"css_canmod_164": 1200.0}
 """Half of the log: a sensor that was accused here once was so after 301 and after 683 s."""
 NOT_YET = {
     ("kingston_2008", "a sensor 5 times slower"): "gravity seems to step beside 2 Hz",
-    ("kingston_2008", "a fifth repeated"): "the zero seems to drift for a moment, after 41 min",
     ("kingston_2008", "10 times the gyroscope's noise"): "gravity steps: the walk is not known",
 }
 """What is taken back all the same; the sensor of kingston_2008 sends 10 times a second."""

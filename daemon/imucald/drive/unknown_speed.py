@@ -11,7 +11,8 @@ drive shows of other errors of the equations: cross-talk, a lever arm, a lag. Th
 error on f_x, f_y and u goes through the same filter. The fit of the unpredicted part on these
 effects is therefore the fit of the errors together with the speed.
 
-Without a gyroscope nothing carries u, which is then a first-order Markov process along the road.
+Without a gyroscope, or in a hole of its samples, nothing carries u, which is then a first-order
+Markov process along the road.
 """
 
 from __future__ import annotations
@@ -114,21 +115,24 @@ class UnknownSpeed:
     ) -> None:
         self._slope, self._slope_m, self._lean = slope, slope_m, lean
         self._is_carried, self._steered = is_carried, steered
+        self._states: Array = np.zeros((5, len(NAMES)))
         self.restart()
 
-    def restart(self) -> None:
-        """Forget the speed, because time jumped or the axes are others."""
+    def restart(self, is_same_drive: bool = False) -> None:
+        """Begin again, because time jumped or the axes are others.
+
+        is_same_drive: the last speed is more likely than any, though as uncertain.
+        """
+        v = float(self._states[V, 0]) if is_same_drive else FIRST_SPEED
         zero = RATE_ZERO if self._is_carried else 0.0
         std = [FIRST_STD, self._slope, self._slope, zero, zero]
         self._covariance = np.diag(np.square(std))
         self._states = np.zeros((5, len(NAMES)))
-        self._states[:3, 0] = FIRST_SPEED, 0.0, self._lean
+        self._states[:3, 0] = v, 0.0, self._lean
         self._transition = np.eye(5)
         self._transition[V, U_X] = -GRAVITY * TICK_S
-        walk = [CARRIED, CARRIED, RATE_WALK, RATE_WALK]
-        if self._is_carried:
-            self._transition[U_X, 4], self._transition[U_Y, 3] = TICK_S, -TICK_S
-        self._growth = np.diag([AHEAD * TICK_S**2, *(TICK_S * part for part in walk)])
+        walk = [0.0, 0.0, TICK_S * RATE_WALK, TICK_S * RATE_WALK]
+        self._growth = np.diag([AHEAD * TICK_S**2, *walk])
 
     @property
     def std(self) -> float:
@@ -152,7 +156,7 @@ class UnknownSpeed:
             if not use[k]:
                 given[k, V, 0] = TICK_S * GRAVITY * self._states[U_X, 0]
             self._predict(given[k], v, r, bool(use[k]))
-            if self._is_carried and k % PULLED == 0:
+            if self._is_carried and use[k] and k % PULLED == 0:
                 self._pull_to_roads(v)
             if rest[k]:
                 self._come_to_rest()
@@ -184,13 +188,21 @@ class UnknownSpeed:
     def _predict(self, given: Array, v: float, r: float, is_usable: bool) -> None:
         """Follow the states through a tick. given: (5, len(NAMES)) what drives them."""
         F, Q = self._transition, self._growth
-        if self._is_carried:
-            F[U_X, U_Y], F[U_Y, U_X] = r * TICK_S, -r * TICK_S
+        if self._is_carried and is_usable:
+            stays, grows, turned, wrong = 1.0, CARRIED * TICK_S, r * TICK_S, TICK_S
         else:
             share = (abs(v) + STANDING) * TICK_S / self._slope_m
-            F[U_X, U_X] = F[U_Y, U_Y] = math.exp(-2.0 * share)
-            Q[U_X, U_X] = Q[U_Y, U_Y] = 4.0 * share * self._slope**2
-            given[U_Y, 0] = (1.0 - F[U_Y, U_Y]) * self._lean
+            stays, grows, turned, wrong = (
+                math.exp(-2.0 * share),
+                4.0 * share * self._slope**2,
+                0.0,
+                0.0,
+            )
+            given[U_X : U_Y + 1] = 0.0
+            given[U_Y, 0] = (1.0 - stays) * self._lean
+        F[U_X, U_X] = F[U_Y, U_Y] = stays
+        Q[U_X, U_X] = Q[U_Y, U_Y] = grows
+        F[U_X, U_Y], F[U_Y, U_X], F[U_X, 4], F[U_Y, 3] = turned, -turned, wrong, -wrong
         self._states = F @ self._states + given
         self._covariance = F @ self._covariance @ F.T + Q
         if not is_usable:

@@ -27,7 +27,6 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_sums import pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.gyro_walk import SELDOM
 from imucald.mount.signal_blocks import SignalBlock
 
 UNLIKE = 0.3
@@ -281,7 +280,7 @@ class Contradictions:
         if R is not None and late is not None:
             asked += _FORCES
             up = np.asarray(R)[2]
-            walk = math.sqrt(float(up @ p.rate_walk @ up) / SELDOM) if own_gyro else 0.0
+            walk = math.sqrt(float(up @ p.rate_walk @ up) / TICK_S) if own_gyro else 0.0
         s, v = self._settings, self._settings.vehicle
         vehicle = v.steering_ratio, v.wheelbase, s.understeer
         ticks = 0 if late is None else round(late / TICK_S)

@@ -38,6 +38,10 @@ BELIEVED = 0.995
 MOST = 20
 """Road segments are joined until at most this many remain."""
 FEWEST = 3
+ANSWER_TAIL = 8.0
+"""Degrees of freedom of the errors of responses to motion (Student's t): wind, and stretches that
+shake more than the rest of the drive.
+"""
 LATE = 0.5
 """Age of a reported segment, in segments. The value holds for the middle of a window, half a
 segment ago, and is reported until the next segment ends.
@@ -234,7 +238,9 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
     last = np.where(has_begun[-1], 0.5 * float(each[-1]) + LATE, 0.0)
     _run(value, noise, gaps, goes_on, begins, off, spread, state, P)
     _go_on(state, P, last)
-    loss = 0.5 * (off * off / spread + np.log(spread))
+    loss = 0.5 * (
+        (ANSWER_TAIL + 1.0) * np.log1p(off * off / (ANSWER_TAIL * spread)) + np.log(spread)
+    )
     log = -np.where(goes_on, loss, 0.0).sum(axis=0)
     return log, state[0] - state[0, :, :1], np.maximum(P[0] - 1.0 / total, 0.0)
 
@@ -262,6 +268,7 @@ def _run(
         np.subtract(value[k], state[0], out=off[k])
         np.add(P[0], noise[k], out=spread[k])
         gain = P[:2] / spread[k]
+        gain *= np.minimum((ANSWER_TAIL + 1.0) / (ANSWER_TAIL + off[k] * off[k] / spread[k]), 1.0)
         if not each_goes_on[k]:
             gain *= goes_on[k]
         P[2] -= gain[1] * P[1]

@@ -337,6 +337,9 @@ class JointEstimator:
             return
         target.add(block)
         try:
+            if target is not self._joint and not self._joint.signals.speed:  # it may stay away
+                self._joint.add(_block(p, self._joint.signals))
+                self._joint.solve_when_due()
             target.solve_when_due()
         except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
             self._fits_no_sensor, self._carried.is_sure = True, False
@@ -453,10 +456,11 @@ class JointEstimator:
 
     def _small_change(self) -> Move | None:
         """Return a small move of the sensor in the last minutes that is certain."""
-        if self._signals.without_speed or self._signals.blocks % ASKED:
+        if self._signals.blocks % ASKED:
             return None
+        asked = self._joint if not self._joint.signals.speed else self._next or self._joint
         try:
-            found = (self._next or self._joint).move()
+            found = asked.move()
         except np.linalg.LinAlgError:  # windows that say nothing yet of one of the answers
             found = None
         self._doubt = np.zeros(3)
@@ -757,8 +761,8 @@ def _block(p: SignalBlock, signals: OtherSignals) -> Block:
     if signals.gyro:
         use &= p.had_rate
         known = bool(p.ok_rate.any())
-        zero = known, p.gyro_bias
-        return Block(p.force, p.rate, speed, use, *zero, knots, p.least_speed, p.rest)
+        of_rate = known, p.gyro_bias, p.rate_walk
+        return Block(p.force, p.rate, speed, use, *of_rate, knots, p.least_speed, p.rest)
     if signals.turns:
         use &= p.ok_yaw
     rate = np.zeros_like(p.rate)

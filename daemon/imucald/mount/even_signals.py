@@ -26,7 +26,6 @@ from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
 from imucald.motion.stuck import SAME, short_runs
 from imucald.motion.ticks import TICK_S
-from imucald.mount.gyro_walk import SELDOM
 
 BLOCK_TICKS = 64
 """Ticks of a block: 6.4 s. Data are examined once per block, so the length sets the cost."""
@@ -97,7 +96,7 @@ class EvenBlock(Struct, frozen=True):
     """Block in which every tick has a force and a rate, N = BLOCK_TICKS.
 
     force, rate: (N + 2, 3), ok_force, ok_rate: (N + 2,). repeats: two ticks in a row have the same
-    mean, as with a stuck sensor. rate_seldom: some ticks may have no gyroscope sample of their own.
+    mean, as with a stuck sensor. rate_seldom: some ticks have a single gyroscope sample.
     steering, yaw_rate, lateral: (N + 2,), present if all ticks have them. yaw_runs: None if the
     yaw rate may be stuck. has_heading, has_reverse: whether any tick has one; is_reverse: whether
     any is in reverse.
@@ -255,8 +254,7 @@ def _sensed(
     times = t - windows[:, :, columns.age]
     mean = windows[:, :, columns.x : columns.z + 1]
     same = np.all(np.abs(mean[:, 1:] - mean[:, :-1]) < SAME, axis=2)
-    gaps = times[:, 1:] - times[:, :-1]
-    seldom: Flags = 0.5 * (gaps[:, :-1] + gaps[:, 1:]) > SELDOM
+    seldom = windows[:, :, columns.n] < 2
     values, ok = bridged_blocks(at, times, mean, ACCEL_GAP)
     return values, ok, np.any(same, axis=1).tolist(), np.any(seldom, axis=1).tolist()
 

@@ -14,24 +14,21 @@ from __future__ import annotations
 import numpy as np
 
 from imucald.core.arrays import Array
-from imucald.motion.ticks import TICK_S
-
-SELDOM = 1.5 * TICK_S
-"""Time between samples from which some ticks have no sample of their own [s]."""
 
 
-def sampling_walk(times: Array, rates: Array, longest: float) -> Array:
-    """Return the growth of the angle's variance (3, 3) [rad^2/s] from samples (M, 3) [rad/s] at
-    times (M,).
+def sampling_walk(times: Array, rates: Array, counts: Array, longest: float) -> Array:
+    """Return the growth of the angle's variance (3, 3) [rad^2/s] from means (M, 3) [rad/s] of
+    counts (M,) samples at times (M,).
 
-    Zero if samples come at least once a tick. longest: longer holes are not bridged [s].
+    Only single samples are instants: zero if all means are of several. longest: longer holes are
+    not bridged [s].
     """
     if len(times) < 3:
         return np.zeros((3, 3))
     gaps = np.diff(times)
     before, after = gaps[:-1], gaps[1:]
     stands_for = 0.5 * (before + after)
-    use = (stands_for > SELDOM) & (np.maximum(before, after) <= longest)
+    use = (counts[1:-1] < 2) & (np.maximum(before, after) <= longest)
     if not np.count_nonzero(use):
         return np.zeros((3, 3))
     b = before[use] / (before[use] + after[use])

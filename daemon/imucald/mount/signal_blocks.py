@@ -301,7 +301,7 @@ class SignalBlockMaker:
         stuck = self._stuck_sensor("accel", even is None or even.force_repeats)
         if even is not None and stuck is None:
             return even.force, even.ok_force, True
-        times, values = self._known(t, tk.ACCEL, stuck)
+        times, values, _ = self._known(t, tk.ACCEL, stuck)
         return *bridged(at, times, values, ACCEL_GAP), False
 
     def _rate(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
@@ -311,8 +311,8 @@ class SignalBlockMaker:
         if is_even and even is not None and not even.rate_seldom:
             self._rate_walk = np.zeros((3, 3))
             return even.rate, even.ok_rate, True
-        times, values = self._known(t, tk.GYRO, stuck)
-        self._rate_walk = sampling_walk(times, values, ACCEL_GAP)
+        times, values, counts = self._known(t, tk.GYRO, stuck)
+        self._rate_walk = sampling_walk(times, values, counts, ACCEL_GAP)
         return *bridged(at, times, values, ACCEL_GAP), is_even
 
     def _stuck_sensor(self, signal: str, may_be: bool) -> Flags | None:
@@ -325,13 +325,20 @@ class SignalBlockMaker:
 
     def _known(
         self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags | None
-    ) -> tuple[Array, Array]:
-        """Return times (M,) [s] and means (M, 3) of the ticks that have samples."""
+    ) -> tuple[Array, Array, Array]:
+        """Return times (M,) [s], means (M, 3) and numbers of samples (M,) of the ticks that have
+        any.
+        """
         rows = self._rows
         has = rows[:, columns.n] > 0
         if stuck is not None:
             has &= ~stuck
-        return t[has] - rows[has, columns.age], rows[has, columns.x : columns.z + 1]
+        known = rows[has]
+        return (
+            t[has] - known[:, columns.age],
+            known[:, columns.x : columns.z + 1],
+            known[:, columns.n],
+        )
 
     def _seen_forward(self) -> SeenForward | None:
         """Return the speed changes by the accelerometer, in all ticks."""

@@ -224,15 +224,17 @@ class ZeroDrift:
         self._covariance[UP, UP] = self._drifts.up**2 * np.eye(2)
 
     def add(
-        self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array
-    ) -> None:
+        self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array,
+        rate_walk: Array,
+    ) -> None:  # fmt: skip
         """Take a block of N = 64 ticks in the working axes, in parts.
 
         Random walks are added at the start of a part. The effect of unused ticks must be added
         before the other ticks.
 
         left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
-        speed, accel, use: (N,).
+        speed, accel, use: (N,). rate_walk: (3, 3) growth of the variance of an angle summed from
+        the rate [rad^2/s].
         """
         if self._blocks % ONSET_BLOCKS == 0:
             self._begin_onset()
@@ -244,11 +246,14 @@ class ZeroDrift:
         means = _means(left, rate[:, 2], speed, accel, use, used)
         turns = rate.reshape(STEPS, STEP, 3).sum(axis=1) * TICK_S
         passed = (np.abs(speed) * use).reshape(STEPS, STEP).sum(axis=1) * TICK_S
+        (xx, xy), (yx, yy) = rate_walk[:2, :2].tolist()
+        walked = np.array([[yy, -yx], [-xy, xx]])  # a turn about y moves the vertical along x
         cuts = [0, *(k for k in np.flatnonzero(used < STEP).tolist() if k), STEPS]
         for first, stop in pairwise(cuts):
             P = self._covariance = 0.5 * (self._covariance + self._covariance.T)
             diagonal = P.ravel()[:: STATES + 1]
             diagonal += (stop - first) * self._walk
+            P[UP, UP] += (stop - first) * STEP_S * walked
             diagonal[UP] += (self._drifts.lost * (STEP - used[first])) ** 2
             held = np.flatnonzero(used[first:stop] >= STEP // 2)
             path = self._path(turns[first:stop])

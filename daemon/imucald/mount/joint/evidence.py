@@ -26,8 +26,8 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive import windows as wd
 from imucald.drive.speed_knots import known_times, means_between
+from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
-from imucald.drive.unknown_speed import UnknownSpeed
 from imucald.drive.vertical import CarriedVertical
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.ticks import TICK_S
@@ -87,6 +87,8 @@ MADE_AT_ONCE = 64
 busy core of 2026). The loop that corrects frames waits meanwhile, and frames that wait for 0.1 s
 are not corrected.
 """
+BACKWARD = 0.2
+"""Share of the way that is backward on balance, from which the axes are turned round."""
 MOST_BLOCKS, KEPT_BLOCKS = 640, 480
 """Of a long drive, the last 50 to 70 minutes count: more data do not reduce any deviation."""
 LEAST_USED, LEAST_MOVING = 0.5, 0.1
@@ -202,6 +204,7 @@ ANY_DELAY: Final = DelayPrior()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
 """The vertical without a gyroscope: level."""
 NO_ZERO: Final = np.zeros(3)
+NO_WALK: Final = np.zeros((3, 3))
 NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
 NO_ARM: Final = (0.0, 0.0, 0.0)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
@@ -221,7 +224,8 @@ class Block(NamedTuple):
     speed: (64,) [m/s], negative in reverse; where there is none, it shows rest and the gear alone.
     rest: (64,) True where the vehicle is as still as a parked one. use: (64,) True for usable
     ticks. rate_zero: (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it
-    was measured. knots: (K,) times at which the speed is known [ticks since the block began].
+    was measured. rate_walk: (3, 3) growth of the variance of an angle summed from the rate
+    [rad^2/s]. knots: (K,) times at which the speed is known [ticks since the block began].
     least_speed: smallest speed that its sender shows [m/s].
     """
 
@@ -231,6 +235,7 @@ class Block(NamedTuple):
     use: Flags
     is_rate_known: bool = True
     rate_zero: Array = NO_ZERO
+    rate_walk: Array = NO_WALK
     knots: Array = MIDDLES
     least_speed: float = 0.0
     rest: Flags = NO_REST
@@ -462,7 +467,7 @@ class Evidence:
         for first, stop in self._joined_since(self._done):
             if first in self._breaks:
                 self._vertical.restart()
-                self._unknown.restart()
+                self._unknown.restart(is_same_drive=first > 0)
                 self._tail = None
             self._take(first, stop)
             self._done = stop
@@ -471,7 +476,8 @@ class Evidence:
         """Yield the new blocks, joined and in groups, each with the places of its first and last
         block. There are at most `MADE_AT_ONCE` blocks in all.
         """
-        end = min(len(self._blocks) - 1, first + MADE_AT_ONCE)
+        most = MADE_AT_ONCE if self.signals.speed else MADE_AT_ONCE // 4  # slower by so much
+        end = min(len(self._blocks) - 1, first + most)
         while first < end:
             stop = min([end, first + BLOCKS_AT_ONCE, *(k for k in self._breaks if k > first)])
             yield first, stop
@@ -493,7 +499,7 @@ class Evidence:
             for k, b in enumerate(self._blocks[first:stop]):
                 part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
                 ticks = left[part], rate[part], speed[part], accel[part]
-                self._drift.add(*ticks, b.use, V @ b.rate_zero)
+                self._drift.add(*ticks, b.use, V @ b.rate_zero, V @ b.rate_walk @ V.T)
             self._followed = stop
 
     def _in_axes(
@@ -644,7 +650,7 @@ class Evidence:
         if self._axes is None and not self._find_first_axes():
             return self.solution
         self._extend()
-        if not self.signals.speed and self._levels[:, 5].sum() < 0.0:
+        if not self.signals.speed and self._is_up_to(self._done) and self._drives_backward():
             self._turn_round()
         for _ in range(3):
             if len(self._sums) < (2 if self.known is None else 1):
@@ -735,6 +741,11 @@ class Evidence:
         yaw = -math.atan2(along.imag, along.real) + (math.pi if across < 0.0 else 0.0)
         self.start_from(rotation_from_angles(0.0, 0.0, yaw) @ R)
         return True
+
+    def _drives_backward(self) -> bool:
+        """True if the way driven is backward by the gear; a standing vehicle's is noise."""
+        way = self._levels[:, 5]
+        return bool(way.sum() < -BACKWARD * np.abs(way).sum())
 
     def _turn_round(self) -> None:
         """Turn the axes round, as vehicles drive forward more than backward.
@@ -938,8 +949,9 @@ class Evidence:
         (mean,), (variance,) = mean_slopes(levels[:, :4], whole, priors.slope)
         if self.signals.bend:
             mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
-        if not self.signals.speed:  # the mean of dv/dt is as uncertain as the speed at the end
-            variance[0] += (self._unknown.std / (GRAVITY * self.seconds)) ** 2
+        if not self.signals.speed:  # the mean of dv/dt is as uncertain as the speed at both ends
+            ends = math.hypot(self._unknown.std, FIRST_STD)
+            variance[0] += (ends / (GRAVITY * self.seconds)) ** 2
         out = []
         for i in range(2):
             value = mean[i] - (priors.crown[0] if i == 1 else 0.0)
@@ -1059,7 +1071,7 @@ def mean_slopes(blocks: Array, parts: NDArray[np.int_], slope: float) -> tuple[A
 def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, float]:
     """Return the mean slope across, and its variance, for a path whose curvature has a zero error.
 
-    blocks: (n, 5) as in `mean_slope`, and the weighted squares of the speed over g. variance: of
+    blocks: (n, 5) as in `mean_slopes`, and the weighted squares of the speed over g. variance: of
     that mean. bend: deviation of the zero of the curvature [1/m].
     """
     weight = blocks[:, 2]

@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
+from imucald.mount.creep import ANSWER_TAIL
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import FALSE_ALARM_H, probability
 from imucald.mount.joint.response import SEGMENTS
@@ -33,10 +34,9 @@ SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
 """Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads
 no consumer.
 """
-ANSWER_TAIL, ROAD_TAIL = 8.0, 30.0
-"""Degrees of freedom of the errors in responses to motion, and in evidence that depends on roads.
-
-Wind comes in stretches; the variance already contains the length of stretches of road.
+ROAD_TAIL = 30.0
+"""Degrees of freedom of the errors in evidence that depends on roads: the variance already contains
+the length of stretches of road.
 """
 _LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SEGMENTS[0] * BLOCK_TICKS * TICK_S))
 
