@@ -203,6 +203,26 @@ def test_of_frames_put_in_before_true_ones_one_passes_and_ends_trust(behind, ahe
     assert single.past == checker.past
 
 
+@pytest.mark.parametrize("stated", [CYCLE, None])
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+def test_a_sender_that_forgets_to_count_is_no_second_sender(jitter, stated) -> None:
+    """Two senders with one counter are less than a cycle apart."""
+    spec = spec_of(stated=stated)
+    t, data = sent(spec, 6000, 5, jitter=jitter)
+    forgets = np.arange(1000, 6000, 150)
+    protector = MessageProtector(spec)
+    for i, row in enumerate(data):
+        if i in forgets:
+            protector._next = int(data[i - 1, 1] & 15)
+        row[:] = protector.protect_columns(row[None])[0]
+    checker, verdicts = judged(spec, t, data)
+    assert np.flatnonzero(np.array(verdicts) == "counter_repeated").tolist() == forgets.tolist()
+    assert checker.rejected["untrusted"] == 3 * len(forgets)
+    single = MessageChecker(spec)
+    frames = zip(t, data, strict=True)
+    assert [single.check(at, row.tobytes()) or "" for at, row in frames] == verdicts
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_delayed_frame_followed_closely_by_the_next_is_a_normal_thing(seed) -> None:
     spec, rng = spec_of(), np.random.default_rng(seed)

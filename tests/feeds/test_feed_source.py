@@ -79,6 +79,17 @@ def test_a_value_does_not_stand_where_its_frame_says_that_it_must_not_be_used(en
     assert frames.means(0.2)["acceleration"] is None
 
 
+def test_a_mean_of_frames_before_an_unusable_one_is_given_once():
+    frames = CorrectedFrames(CONFIG)
+    frames.take_frame(0.0, 0x640, frame(0, 400))
+    frames.take_frame(0.01, 0x640, frame(1, quality=4))
+    assert frames.means(0.02)["acceleration"] is not None
+    assert frames.means(0.03)["acceleration"] is None
+    frames.take_frame(0.04, 0x640, frame(2))
+    assert frames.means(0.05)["acceleration"] is not None
+    assert frames.means(0.06)["acceleration"] is not None, "it stands again"
+
+
 def test_the_quality_of_a_mean_is_the_lowest_of_its_frames():
     frames = CorrectedFrames(CONFIG)
     for i, quality in enumerate((3, 2, 3)):

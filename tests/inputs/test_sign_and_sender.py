@@ -15,6 +15,8 @@ from imucald.core.errors import ConfigError
 from imucald.inputs.sender_choice import SENDER_SETTLING
 from imucald.inputs.source_selector import MAX_SKEW
 from imucald.inputs.wiring import compile_router
+from imucald.service.identity import state_key
+from imucald.traffic.drive_encoder import BusEncoder
 
 SIGNS = """VERSION ""
 BU_: CAR
@@ -102,6 +104,10 @@ def test_a_speed_with_a_sign_bit_shows_reverse(tmp_path):
         ("{signal: ESP_02.Rate, sign_signal: OTHER.Bits}", "OTHER has no signal"),
         ("{signal: ESP_02.Rate, sign_signal: ESP_02.VZ}", "has no signal"),
         ("{signal: ESP_02.Signed, sign_signal: ESP_02.VZ_Rate}", "is signed already"),
+        (
+            "{signal: ESP_02.Rate, sign_signal: OTHER.Bit, source_address: 3}",
+            "yaw_rate.sign_signal: .* OTHER is no message of J1939",
+        ),
         ("{raw: {id: 1, value: '1'}, unit: rad/s, sign_signal: ESP_02.VZ_Rate}", "needs 'signal'"),
     ],
 )
@@ -160,6 +166,35 @@ def test_a_sign_of_another_message_is_the_last_known_one_live_and_in_columns(
             again[channel] += series.values.reshape(len(series.t), -1).tolist()
     assert again == found
     assert live.rejected == replayed.rejected
+
+
+def test_of_two_messages_one_takes_its_sign_from_another(tmp_path):
+    text = APART.replace("OTHER.Bit}", "ESP_02.VZ_Rate}")
+    words = "ESP_02: of two messages, only one may take its sign from another"
+    with pytest.raises(ConfigError, match=f"OTHER and {words}"):
+        compile_router(load(text, tmp_path, SIGNS))
+
+
+@pytest.mark.parametrize(
+    "moved", [("Bit : 0|1", "Bit : 6|1"), ("BO_ 257", "BO_ 300"), ("VY : 23|1", "VY : 50|1")]
+)
+def test_a_sign_bit_elsewhere_is_another_sensor_for_a_reload_and_a_saved_state(tmp_path, moved):
+    keys, routers = [], []
+    for k, database in enumerate((SIGNS, SIGNS.replace(*moved))):
+        (tmp_path / str(k)).mkdir()
+        loaded = load(APART, tmp_path / str(k), database)
+        routers.append(compile_router(loaded))
+        keys.append(state_key(loaded, routers[-1]).sensor)
+    assert "accel" not in routers[1].same_sources(routers[0])
+    assert keys[0] != keys[1]
+
+
+def test_a_configuration_whose_signs_are_all_elsewhere_has_nothing_to_write(tmp_path):
+    loaded = load(APART.replace(", sign_signal: OTHER.Bit, sign: -1", ""), tmp_path, SIGNS)
+    assert BusEncoder(loaded).left_out == ["ACC"]
+    text = APART[: APART.index("  yaw_rate")]
+    with pytest.raises(ConfigError, match="nothing to write"):
+        BusEncoder(load(text, tmp_path, SIGNS))
 
 
 def test_a_sign_lasts_a_stated_cycle_longer_and_a_reload_keeps_it(tmp_path):

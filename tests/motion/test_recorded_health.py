@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imucald.motion import recorded_health as recorded
+from imucald.motion.hops import hop_rows
 from imucald.motion.recorded_health import RecordedHealth, recorded_health
 
 HZ, SECONDS = 100.0, 120.0
@@ -44,6 +46,27 @@ def test_the_chance_of_a_false_finding_decides_how_long_a_run_must_be(
     values = np.repeat(sensor()[::3], 3, axis=0)  # each value is sent three times
     values[5013:5213] = values[5013]
     assert judged(values, chance).stuck.any() == is_stuck
+
+
+def test_a_pause_of_weeks_costs_nothing_and_hides_nothing() -> None:
+    values = sensor()
+    values[:, 1] = np.minimum(values[:, 1], 0.3)
+    t, rows = T.copy(), hop_rows
+    t[6000:] += 14 * 86_400.0
+    speed = np.array([0.0, t[-1]]), np.array([10.0, 10.0])
+    hops: list[int] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorded, "hop_rows", lambda *given: (hops.append(given[2]), rows(*given))[1])
+        found = recorded_health("accel", t, values, speed, 0.01)
+    assert max(hops) == 2 * SECONDS
+    assert (found.on_rail == judged(values).on_rail).all()
+    assert found.ends == (0.3,)
+
+
+def test_equal_spikes_are_no_end_of_a_range() -> None:
+    values = sensor()
+    values[::500, 0] = 40.0
+    assert judged(values).ends == ()
 
 
 @pytest.mark.parametrize("share", [0.03, 0.4])

@@ -33,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the events, oldest first."""
     from imucald.commands.status import asked
     from imucald.core.errors import ImucaldError
+    from imucald.service.asking import understood
 
     if options.n < 1:
         raise ImucaldError("-n must be 1 or more")
@@ -45,9 +46,11 @@ def run(options: argparse.Namespace) -> int:
         print()
         return 0
     columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    for event in events:
-        at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(event["at"]))
-        line = f"{at}  {event['level']:7}  {event['text']}"
-        indent = " " * (len(line) - len(event["text"]))
-        print(line if columns is None else textwrap.fill(line, columns, subsequent_indent=indent))
+    with understood(options.socket):
+        for event in events:
+            at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(event["at"]))
+            line = f"{at}  {event['level']:7}  {event['text']}"
+            indent = " " * (len(line) - len(event["text"]))
+            whole = textwrap.fill(line, columns or 80, subsequent_indent=indent)
+            print(line if columns is None else whole)
     return 0

@@ -75,7 +75,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     from imucald.commands.status_view import no_answer
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
-    from imucald.service.asking import ask, content
+    from imucald.service.asking import ask, content, understood
 
     plain_where_needed()
     console = plain_console()
@@ -84,20 +84,23 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     view = Live(
         console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop"
     )
-    status, is_last, last = None, False, None
+    status, picture, is_last, last = None, None, False, None
     with contextlib.suppress(KeyboardInterrupt), view as live:
         while not is_last:
             is_last = is_over()
             trouble = ""
             try:
-                if status is None:
-                    events.remember(logged_events(path))
-                status = content(path, "status", ask(path, "status"))
-                last = time.time()
-                events.update(status, last)
-            except (LinkError, ValueError) as error:
+                found = content(path, "status", ask(path, "status"))
+                with understood(path):
+                    if status is None:
+                        events.remember(logged_events(path))
+                    events.update(found, time.time())
+                    picture = monitor_picture(found, events.events, console, foot)
+                status, last = found, time.time()
+            except LinkError as error:
                 trouble = no_answer(error, last)
-            if status is not None:
-                picture = monitor_picture(status, events.events, console, foot, trouble)
+                if status is not None:
+                    picture = monitor_picture(status, events.events, console, foot, trouble)
+            if picture is not None:
                 live.update(picture, refresh=True)
             time.sleep(PERIOD_S)

@@ -48,7 +48,7 @@ from imucald.mount.mount_words import (
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.runtime.flow import flow
-from imucald.service.asking import ask, content
+from imucald.service.asking import ask, content, understood
 from imucald.service.recent_history import KEPT
 from imucald.service.status import since
 
@@ -85,8 +85,14 @@ class LiveState:
 
     def update(self, status: dict[str, Any], now: float) -> None:
         """Process a status at wall clock `now` [s]."""
-        self._status, self._trouble, self._last = status, "", now
-        self._events.update(status, now)
+        before, self._status = self._status, status
+        try:
+            self._events.update(status, now)
+            self.page(math.inf)
+        except BaseException:
+            self._status = before
+            raise
+        self._trouble, self._last = "", now
 
     def remember(self, events: Sequence[Mapping[str, Any]]) -> None:
         """Add the events that the daemon logged before this page was started."""
@@ -248,10 +254,12 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
 async def _ask(path: Path, state: LiveState) -> None:
     try:
         status = content(path, "status", await asyncio.to_thread(ask, path, "status"))
-        if not state.is_begun:
-            state.remember(await asyncio.to_thread(logged_events, path))
-        state.update(status, time.time())
-    except (LinkError, ValueError) as error:
+        events = [] if state.is_begun else await asyncio.to_thread(logged_events, path)
+        with understood(path):
+            if not state.is_begun:
+                state.remember(events)
+            state.update(status, time.time())
+    except LinkError as error:
         state.fail(error)
         return
     with contextlib.suppress(LinkError, ValueError, LookupError):  # an older daemon has no history

@@ -137,9 +137,8 @@ def run(options: argparse.Namespace) -> int:
     if options.write_model:
         write_yaml(options.write_model, model.to_yaml(), MODEL)
     for name in encoder.left_out:
-        print(
-            f"{name} is not written into the log, since an expression defines it", file=sys.stderr
-        )
+        why = "an expression or a sign in another message defines it"
+        print(f"{name} is not written into the log: {why}", file=sys.stderr)
     if options.interface is not None:
         _send(options, drive, encoder)
     return 0

@@ -76,20 +76,24 @@ def run(options: argparse.Namespace) -> int:
     if options.metrics:
         sys.stdout.write(answer)
         return 0
+    from imucald.service.asking import understood
+
     status = json.loads(answer)
-    if options.json:
-        print(json.dumps(status, indent=2, ensure_ascii=False))
-    elif options.short:
-        from imucald.commands.status_view import short
+    with understood(options.socket):
+        found = exit_status(status)
+        if options.json:
+            print(json.dumps(status, indent=2, ensure_ascii=False))
+        elif options.short:
+            from imucald.commands.status_view import short
 
-        print(short(status))
-    elif not options.quiet:
-        from imucald.commands.status_view import print_status
-        from imucald.commands.terminal import plain_console, plain_where_needed
+            print(short(status))
+        elif not options.quiet:
+            from imucald.commands.status_view import print_status
+            from imucald.commands.terminal import plain_console, plain_where_needed
 
-        plain_where_needed()
-        print_status(plain_console(), status)
-    return exit_status(status)
+            plain_where_needed()
+            print_status(plain_console(), status)
+    return found
 
 
 def exit_status(status: Mapping[str, Any]) -> int:

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
 def _asked(options: argparse.Namespace) -> tuple[int, str]:
     """Return the present exit status, and a line about flowing frames and missing conditions.
 
-    Raises LinkError if several daemons run and none is named.
+    Raises LinkError if several daemons run and none is named, or if another program answers.
     """
     from imucald.commands.status import (
         FINE,
@@ -77,6 +77,7 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
     )
     from imucald.commands.status_view import waits_for
     from imucald.core.errors import LinkError
+    from imucald.service.asking import understood
 
     answer = answer_of(options, "status")
     if isinstance(answer, NoAnswer):
@@ -85,9 +86,9 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
         is_absent = answer.status == NOT_RUNNING
         return answer.status, "no daemon runs" if is_absent else "the daemon does not answer"
     status = json.loads(answer)
-    if _is_reached(status, options.state):
-        return FINE, waits_for(status)
-    return exit_status(status) or NOT_YET, waits_for(status)
+    with understood(options.socket):
+        line = waits_for(status)
+        return FINE if _is_reached(status, options.state) else exit_status(status) or NOT_YET, line
 
 
 def _is_reached(status: Mapping[str, Any], state: str) -> bool:

@@ -35,6 +35,7 @@ class VectorMeans:
         """Lowest quality of the vectors in each mean."""
         self._newest: dict[str, Triple] = {}
         self._times = dict.fromkeys(self._sums, float("-inf"))
+        self._ended: set[str] = set()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -47,10 +48,12 @@ class VectorMeans:
         self._lowest[name] = min(quality, self._lowest[name]) if n else quality
         self._sums[name] = [n + 1, x + values[0], y + values[1], z + values[2]]
         self._times[name] = t
+        self._ended.discard(name)
 
     def end(self, name: str) -> None:
         """Register that the sender itself says that the vector must not be used now."""
         self._newest.pop(name, None)
+        self._ended.add(name)
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
         """Return the means since the last call, by name; None: not available.
@@ -62,10 +65,13 @@ class VectorMeans:
                 self._newest[name] = x / n, y / n, z / n
                 self.quality[name] = self._lowest[name]
             self._sums[name] = [0, 0.0, 0.0, 0.0]
-        return {
+        found = {
             name: self._newest.get(name) if now - t <= STALE_S else None
             for name, t in self._times.items()
         }
+        for name in self._ended:
+            self._newest.pop(name, None)
+        return found
 
 
 class CorrectedFrames:

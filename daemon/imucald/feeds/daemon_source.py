@@ -13,7 +13,8 @@ from imucald.can.link.link import Link
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.feeds.corrected_frames import GOOD, Attitude, CorrectedFrames, RawSamples, Triple
-from imucald.service.asking import ask, content
+from imucald.feeds.status_content import status_content
+from imucald.service.asking import ask, content, understood
 
 STATUS_S = 1.0
 """Period of reading the status [s]."""
@@ -105,7 +106,11 @@ class DaemonSource:
 
     def _ask(self) -> None:
         try:
-            self._status = content(self._socket, "status", ask(self._socket, "status", ASK_S))
+            found = content(self._socket, "status", ask(self._socket, "status", ASK_S))
+            with understood(self._socket):
+                status_content(0.0, found)
+                channel, interface = found["link"]["channel"], found["link"]["interface"]
+            self._status = found
         except LinkError as error:
             if self._status is not None or not self._reported:
                 self._report(f"{error}; waiting for it")
@@ -115,25 +120,24 @@ class DaemonSource:
             self._report("")
             self._say("the daemon answers")
         if self._wants_frames and self._link is None:
-            self._open(self._status or {})
+            self._open(Path(found["config"]), str(interface), str(channel))
 
-    def _open(self, status: Mapping[str, Any]) -> None:
+    def _open(self, config: Path, interface: str, channel: str) -> None:
         """Listen on the daemon's bus for its output identifiers."""
-        link = status["link"]
         try:
-            loaded = load_config(self._config or Path(status["config"]))
+            loaded = load_config(self._config or config)
             frames = CorrectedFrames(loaded.config, self._accepted)
             matches = frames.matches
             if self._wants_raw:
                 self._raw = RawSamples(loaded)
                 matches += self._raw.matches
-            self._link = _opened(loaded, matches, str(link["interface"]), str(link["channel"]))
+            self._link = _opened(loaded, matches, interface, channel)
         except ImucaldError as error:
             self._wants_frames = False
             self._say(f"{error}; only the status is sent. Name the configuration with --config")
             return
         self._frames = frames
-        self._say(f"listening on {link['channel']} for {', '.join(frames.names)}")
+        self._say(f"listening on {channel} for {', '.join(frames.names)}")
 
     def _report(self, text: str) -> None:
         self._reported = text

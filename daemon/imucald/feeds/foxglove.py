@@ -143,7 +143,7 @@ def contents(reading: Reading) -> dict[str, dict[str, Any]]:
         names = SCHEMAS["/attitude"]["properties"]
         found["/attitude"] = dict(zip(names, reading.attitude, strict=True))
     if reading.is_new:
-        status = status_content(reading)
+        status = status_content(reading.at, reading.status)
         if "mount" in status:
             found["/mount"] = status.pop("mount")
         found["/status"] = status

@@ -96,7 +96,7 @@ class MqttReceiver:
         if not self._client.is_connected():
             return
         if reading.is_new:
-            self._send("status", status_content(reading), retain=True)
+            self._send("status", status_content(reading.at, reading.status), retain=True)
         for name, values in reading.corrected.items():
             quality = reading.quality.get(name, 0)
             self._send(name, corrected_content(name, values, quality, reading.at))

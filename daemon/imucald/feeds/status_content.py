@@ -5,28 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.feeds.daemon_source import Reading
 from imucald.mount.mount_words import SD_95
 from imucald.runtime.flow import present_alarms
 
 QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
 
 
-def status_content(reading: Reading) -> dict[str, Any]:
-    """Return state, mount with ± (95 %), and waiting reasons; `running` is false without daemon."""
-    status = reading.status
+def status_content(at: float, status: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return state, mount with ± (95 %), and waiting reasons; `running` is false without daemon.
+
+    at: wall clock [s]. status: see `daemon_source.Reading`.
+    """
     if status is None:
-        return {"at": round(reading.at, 3), "running": False}
+        return {"at": round(at, 3), "running": False}
     mount = status["mount"]
     return {
-        "at": round(reading.at, 3),
+        "at": round(at, 3),
         "running": True,
         "state": status["state"],
         "quality": QUALITIES[status["quality"]],
         "held": bool(status.get("held")),
         "mount": {
             **{f"{a}_deg": mount[f"{a}_deg"] for a in ("roll", "pitch", "yaw")},
-            "plus_minus_deg": _halves(mount["std_deg"]),
+            "plus_minus_deg": _halves({axis: mount["std_deg"][axis] for axis in "xyz"}),
             "angle_plus_minus_deg": _halves(mount.get("angle_std_deg", {})),
             "quaternion_wxyz": mount["quaternion_wxyz"],
             "sits": mount["sits"],

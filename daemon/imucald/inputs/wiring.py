@@ -12,6 +12,7 @@ from msgspec import Struct, field, structs
 
 from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
+from imucald.can.dbc.bits import field_of
 from imucald.can.dbc.database import Database, load_database
 from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
@@ -174,14 +175,18 @@ def _sign_of(
     if of_sign is group:
         return index
     is_sensor = wanted.channel.partition("/")[0] in SENSORS
-    match = id_match(of_sign.message, of_sign.j1939, source_address=of_sign.source_address)
+    try:
+        match = id_match(of_sign.message, of_sign.j1939, of_sign.channel, of_sign.source_address)
+    except DatabaseError as error:
+        raise loaded.error(at_place.place, str(error)) from None
     if is_sensor and is_of_any_sender(match):
         text = f"state the 'source_address:' of {of_sign.message.name}: several units may send it"
         raise loaded.error(at_place.place, text)
     if any(isinstance(s, SignBit) for s in of_sign.signs.values()) or group.given:
-        text = "a message with a sign for another one cannot take its own signs from a third one"
+        names = f"{of_sign.message.name} and {group.message.name}"
+        text = f"{names}: of two messages, only one may take its sign from another message"
         raise loaded.error(at_place.place, text)
-    return of_sign.given.setdefault(index, SignBit((path, of_sign.channel, of_sign.source_address)))
+    return of_sign.given.setdefault(index, SignBit((match, field_of(sign))))
 
 
 def _signed_index(group: _MessageSignals, signal: Signal, sign: int | SignBit | None) -> int:

@@ -15,6 +15,7 @@ from msgspec import Struct
 from imucald.core.arrays import Array, Flags, Index
 from imucald.motion.hops import HOP_TICKS, Carry, hop_rows
 from imucald.motion.rail_evidence import PILE, more_often
+from imucald.motion.rails import USUAL_CHANGE
 from imucald.motion.sample_health import NOISE, AxisJudges
 from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
@@ -42,11 +43,14 @@ def recorded_health(
     """
     table = values.reshape(len(t), -1)
     hop = np.floor(t * TICK_RATE).astype(np.int64) // HOP_TICKS
-    hop -= hop[0]
-    hops, axes = int(hop[-1]) + 1, table.shape[1]
-    edges = t[0] + np.arange(hops + 1) * HOP_TICKS / TICK_RATE
-    moves = np.abs(np.interp(edges, *speed)) > ROLLING_SPEED
-    moving = moves[1:] & moves[:-1]
+    is_next = np.diff(hop, prepend=hop[0] - 1) > 0
+    own = hop[is_next] - hop[0]  # a pause has no hops: nothing is asked there
+    hop = np.cumsum(is_next) - 1
+    hops, axes = len(own), table.shape[1]
+    moving = np.ones(hops, dtype=bool)
+    for edge in (own, own + 1):
+        at = t[0] + edge * HOP_TICKS / TICK_RATE
+        moving &= np.abs(np.interp(at, *speed)) > ROLLING_SPEED
     rows = hop_rows(table, hop, hops, Carry.none(axes))
     entries = rows.entries()
     # Each hop asks of each axis whether it is stuck, and of both its ends whether it is a rail.
@@ -104,9 +108,11 @@ def _is_full(x: Array, end: float, step: float) -> bool:
 def _is_crowded(x: Array, end: float, step: float, surprise: float) -> bool:
     """Return whether values (N,) come to their end too often, next to the two steps before it.
 
-    Stays count once, because a slow signal stays at any value.
+    Stays count once, because a slow signal stays at any value. A jump to the end does not count: an
+    axis comes to a rail by its usual changes, and a spike of a sender or a contact does not.
     """
-    here = x == end
-    visits = int(np.count_nonzero(here[1:] > here[:-1])) + int(here[0])
+    here, change = x == end, np.abs(np.diff(x))
+    is_usual = change <= USUAL_CHANGE * change.sum() / max(np.count_nonzero(change), 1)
+    visits = int(np.count_nonzero((here[1:] > here[:-1]) & is_usual)) + int(here[0])
     count = visits + sum(_beside(x, end, step))
     return more_often(visits, count, -math.log(PILE / (PILE + 2.0))) > surprise

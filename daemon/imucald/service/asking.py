@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ RETRY_S = 0.02
 """Pause before another try when the queue of clients is full [s]; the daemon serves it every
 0.1 s.
 """
+MOST_BYTES = 1 << 23
+"""Longest answer [bytes]: several times a history of half an hour."""
 
 
 def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:
@@ -61,9 +64,24 @@ def content(path: Path, request: str, answer: str) -> dict[str, Any]:
     kinds = KINDS[request].items()
     if isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in kinds):
         return found
-    raise LinkError(
-        f"{path}: the answer is not that of an imucald daemon; name the status socket of the "
-        "daemon (--socket PATH)"
+    raise _foreign(path)
+
+
+@contextlib.contextmanager
+def understood(path: Path | None) -> Iterator[None]:
+    """Raise LinkError if an answer that is read inside lacks a key or has a value of another
+    type.
+    """
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        raise _foreign(path, f" ({type(error).__name__}: {error})") from error
+
+
+def _foreign(path: Path | None, why: str = "") -> LinkError:
+    return LinkError(
+        f"{path or 'status'}: the answer is not that of an imucald daemon{why}; name the status "
+        "socket of the daemon (--socket PATH)"
     )
 
 
@@ -83,7 +101,7 @@ def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = Tr
             with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
                 connection.settimeout(timeout)
                 _connect(connection, str(path), end)
-                answer = _answer(connection, request)
+                answer = _answer(connection, path, request, timeout)
         except OSError as error:
             reason = error.strerror or str(error)
             if isinstance(error, BlockingIOError):
@@ -103,16 +121,22 @@ def _busy(path: Path) -> BusyError:
     )
 
 
-def _answer(connection: socket.socket, request: str) -> bytes:
-    """Return the daemon's answer; empty if it refused the connection."""
-    parts = []
+def _answer(connection: socket.socket, path: Path, request: str, timeout: float) -> bytes:
+    """Return the daemon's answer; empty if it refused the connection, or did not end in time.
+
+    Raises LinkError if the answer is longer than any of a daemon.
+    """
+    found, end = bytearray(), time.monotonic() + timeout
     try:
         connection.sendall(request.encode() + b"\n")
         while part := connection.recv(65536):
-            parts.append(part)
+            found += part
+            if len(found) > MOST_BYTES:
+                raise _foreign(path)
+            connection.settimeout(max(end - time.monotonic(), 0.001))
     except (ConnectionError, TimeoutError):
         return b""
-    return b"".join(parts)
+    return bytes(found)
 
 
 def _connect(connection: socket.socket, path: str, end: float) -> None:

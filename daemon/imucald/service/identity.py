@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from msgspec import to_builtins
 
+from imucald.can.dbc.message import Message, Signal
 from imucald.config import LoadedConfig, SourceSettings, TriadSettings
 from imucald.core.files import sha256
 from imucald.inputs.router import Router
@@ -45,15 +46,19 @@ def _described(source: SourceSettings, router: Router) -> dict[str, Any]:
     found: dict[str, Any] = {
         "configured": {k: v for k, v in to_builtins(source).items() if k in _DECISIVE}
     }
-    if source.signal is None:
-        return found
-    name, _, signal_name = source.signal.partition(".")
+    for message, signal in _found(source.signal, router):
+        found["id"] = message.can_id
+        found["layout"] = [signal.start, signal.length, signal.byte_order]
+        found["number"] = [signal.is_signed, signal.is_float, signal.scale, signal.offset]
+        found["unit"] = signal.unit
+    for message, signal in _found(source.sign_signal, router):
+        found["sign"] = [message.can_id, signal.start, signal.byte_order]
+    return found
+
+
+def _found(path: str | None, router: Router) -> Iterator[tuple[Message, Signal]]:
+    """Yield the signal of a path, and its message, once for each route that reads the message."""
+    name, _, signal = (path or "").partition(".")
     for route in router.routes:
         if isinstance(route, MessageRoute) and route.name == name:
-            message = route.plan.message
-            signal = message.signals[signal_name]
-            found["id"] = message.can_id
-            found["layout"] = [signal.start, signal.length, signal.byte_order]
-            found["number"] = [signal.is_signed, signal.is_float, signal.scale, signal.offset]
-            found["unit"] = signal.unit
-    return found
+            yield route.plan.message, route.plan.message.signals[signal]

@@ -47,12 +47,13 @@ class BusEncoder:
 
     def __init__(self, loaded: LoadedConfig) -> None:
         routes = compile_router(loaded).routes
-        self._routes = [r for r in routes if isinstance(r, MessageRoute) and not r.takes_signs]
-        self.left_out = [route.name for route in routes if route not in self._routes]
+        messages = [r for r in routes if isinstance(r, MessageRoute) and not r.takes_signs]
+        self._routes = [route for route in messages if route.taps]
+        self.left_out = [route.name for route in routes if route not in messages]
         """Names of the routes that cannot be written."""
         if not self._routes:
             raise ConfigError(
-                "the configuration takes no signal from a message of a database, "
+                "the configuration takes no signal from a message of a database alone, "
                 "so there is nothing to write"
             )
 

@@ -16,9 +16,11 @@ Order of the checks:
    sent again), "counter_reversed" (an old frame), "counter_jump".
 6. "too_early": the sender cannot have sent one more frame yet, with its cycle.
 
-A counter that comes twice within `WAITS` cycles, with other data or with an older frame in between,
-shows two senders, and nothing shows which of them is ours. All frames of the next `HELD_S` are
-dropped ("untrusted"). The first frame was already used: only authentication would prevent that.
+A counter that comes twice with other data shows two senders, and nothing shows which of them is
+ours. All frames of the next `HELD_S` are dropped ("untrusted"). The first frame was already used:
+only authentication would prevent that. A foreign frame is accepted from `EARLIEST` after ours, so
+ours follows in the rest of the cycle; a sender that forgot to count follows after a whole cycle.
+The limit is halfway. With an older frame in between, it is `WAITS` cycles.
 
 A lost frame is not a fault. If the time is long enough for a step of the counter (see `schedule`),
 the step is counted as lost frames, unless a largest step is stated. Frames dropped for a wrong
@@ -126,9 +128,11 @@ class MessageChecker:
                     past.data = b""
                     return COPY
             if code == OK and self._is_protected:
-                known, is_near = past.data, 0.0 < t - past.t <= WAITS * past.cycle
+                known, since, cycle = past.data, t - past.t, past.cycle
+                is_near = 0.0 < since <= WAITS * cycle
                 code = self._sequence(t, value, data)
-                if is_near and self._is_again(code, value, data, known):
+                is_soon = code == REPEATED and since <= (1.0 - 0.5 * EARLIEST) * cycle
+                if is_near and self._is_again(known if is_soon else past.overtaken, value, data):
                     past.contradicted = t
                 past.overtaken = known if is_near and code == REVERSED else b""
         if code == OK:
@@ -141,12 +145,8 @@ class MessageChecker:
             past.missed += 1
         return code
 
-    def _is_again(self, code: int, value: int, data: bytes | bytearray, known: bytes) -> bool:
-        """True if a frame has the counter, but not the data, of a frame shortly before.
-
-        known: data of the frame before.
-        """
-        before = known if code == REPEATED else self.past.overtaken
+    def _is_again(self, before: bytes, value: int, data: bytes | bytearray) -> bool:
+        """True if a frame has the counter, but not the data, of a frame shortly before."""
         if not before or self._counter is None or not self.spec.recovery:
             return False
         return read_bits(before, self._counter.field) == value and data != before

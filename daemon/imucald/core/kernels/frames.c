@@ -356,10 +356,12 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
             if (code == OK && (crc || counter.length)) {
                 int taken;
                 double before = t[i] - time[LAST_T];
-                int is_near = before > 0.0 && before <= WAITS * time[CYCLE];
+                double cycle = time[CYCLE];
+                int is_near = before > 0.0 && before <= WAITS * cycle;
                 code = sequence(spec, timeout, state, time, t[i], value, &taken);
-                const uint8_t *known = code == REPEATED ? last_data : overtaken;
-                int64_t size_known = state[code == REPEATED ? LAST_LENGTH : OVERTAKEN];
+                int is_soon = code == REPEATED && before <= (1.0 - 0.5 * EARLIEST) * cycle;
+                const uint8_t *known = is_soon ? last_data : overtaken;
+                int64_t size_known = state[is_soon ? LAST_LENGTH : OVERTAKEN];
                 if (is_near && spec[RECOVERY] && value >= 0 && size_known > 0 &&
                     bits_of(known, counter) == (uint64_t)value &&
                     (size_known != length[i] || memcmp(known, row, length[i])))
