@@ -27,8 +27,8 @@ LEFT_OUT = os.environ.get("IMUCALD_COMPILED") == "0"
 
 def has_compiler() -> bool:
     """Whether the compiler that setuptools would call is there."""
-    name = os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
-    return os.name != "posix" or shutil.which(name.split()[0]) is not None
+    words = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()
+    return os.name != "posix" or any(shutil.which(word) for word in words[:1])
 
 
 def has_headers() -> bool:

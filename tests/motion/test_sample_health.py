@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY, Series
-from imucald.motion.sample_health import SampleHealth
+from imucald.motion.hops import Carry, hop_rows
+from imucald.motion.sample_health import SampleHealth, _Sensor
 from imucald.motion.sensor_judges import USUAL_HOPS, Runs
 from imucald.motion.signal_health import SOUND_S, SignalFault
 
@@ -528,3 +530,14 @@ def test_a_first_sample_after_a_gap_ends_no_run():
     for _ in range(60):
         runs.add(1, 0, 0)
     assert runs.limit() == math.inf
+
+
+def test_axes_of_a_fault_are_in_their_order() -> None:
+    """One axis is stuck, and an earlier one held a value between two jumps, in one hop."""
+    sensor = _Sensor("accel", 3, deque())
+    flags = iter((([False], [True], [False]), ([True], [False], [False]), ([False],) * 3))
+    for judge in sensor.judges:
+        judge.judge = lambda *_: next(flags)
+    rows = hop_rows(np.full((1, 3), 9.81), np.zeros(1, np.int64), 1, Carry.none(3))
+    found = sensor.judge(rows, np.array([True]), np.zeros((1, 2)))
+    assert found[0][SignalFault.STUCK] == "xy"

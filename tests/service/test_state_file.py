@@ -14,6 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -79,6 +80,34 @@ def test_a_reason_of_any_length_is_saved_so_that_it_is_believed_again(tmp_path):
     loaded = load(tmp_path)
     assert loaded.problems == ()
     assert loaded.content.doubt == ("gravity " * 1000)[:LONGEST_DOUBT]
+
+
+def test_a_number_of_numpy_is_saved_and_a_text_that_cannot_be_read_again_is_refused(tmp_path):
+    store = StateStore(tmp_path, KEY)
+    store.save(state(evidence={"a": np.float64(1.5)}))
+    assert load(tmp_path).content.evidence == {"a": 1.5}
+    with pytest.raises(ValueError, match="surrogates"):
+        store.save(state(evidence={"a": "\udc80"}))
+    assert load(tmp_path).problems == ()
+
+
+def test_after_the_last_generation_that_is_read_one_can_be_saved(tmp_path):
+    store = StateStore(tmp_path, KEY)
+    store.path(2**53).write_bytes(encoded(KEY, 2**53, state(1.0)))
+    store.path(2**53 - 1).write_bytes(encoded(KEY, 2**53 - 1, state(2.0)))
+    assert load(tmp_path).content == state(2.0)
+
+
+def test_only_the_first_version_may_lack_the_length(tmp_path):
+    data = encoded(KEY, 1, state(1.0))
+    head, _, body = data.partition(b"\n")
+    kind, version, _, checksum = head.split(b" ")
+    StateStore(tmp_path, KEY).path(1).write_bytes(
+        b" ".join((kind, version, checksum)) + b"\n" + body
+    )
+    found = load(tmp_path)
+    assert found.content is None
+    assert "its checksum or its length is wrong" in found.problems[0]
 
 
 def test_nothing_saved_is_no_state_and_no_problem(tmp_path):

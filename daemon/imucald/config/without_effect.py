@@ -115,7 +115,7 @@ def _is_level(config: Keys) -> bool:
 def _calibration(config: Keys) -> Iterator[Rule]:
     at, published, estimator = "calibration", config.uses_method_a, config.calibration.estimator
     yield (at, "estimator"), estimator == "full", "any more: 'joint' takes its place"
-    why = "without speed and turns: method A is used"
+    why = "without a speed, and without turns or the sensor's z axis: method A is used"
     yield (at, "estimator"), published and estimator == "joint", why
     for section in ("static", "straight", "target_angle", "method_a"):
         yield (
@@ -124,7 +124,8 @@ def _calibration(config: Keys) -> Iterator[Rule]:
             "without 'estimator: published' (only method A reads it)",
         )
     for key in ("cross_axis", "orientation"):
-        yield (at, key), published, "with method A (estimator: published, or no speed and turns)"
+        why = "with method A (estimator: published; or no speed, and no turns or no z axis)"
+        yield (at, key), published, why
     yield from _method_a(config)
 
 

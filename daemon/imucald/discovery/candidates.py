@@ -291,10 +291,11 @@ def signed_elsewhere(
             continue
         one = messages[c.message.name]
         t, values, raw, rows = _decoded(one, c)
+        small = SMALL_AT_SIGN * float(np.abs(values).mean())
         best: tuple[float, SeenSignal, Array] | None = None
         for bit, t_bit, state, changed in bits:
             at = np.minimum(t.searchsorted(changed), len(t) - 1)
-            if bit.message.name == c.message.name or not _is_small(values[at], values):
+            if bit.message.name == c.message.name or not np.abs(values[at]).mean() < small:
                 continue
             sign = SignBit(bit.path)
             sign.expect(bit.message.cycle_time)
@@ -328,11 +329,6 @@ def _decoded(
         good &= found.present[0]
     rows = np.flatnonzero(good)
     return one.t[rows], found.values[0][rows], found.raw[0], rows
-
-
-def _is_small(at_sign: Array, values: Array) -> bool:
-    """True if values at changes of a bit are small."""
-    return float(np.abs(at_sign).mean()) < SMALL_AT_SIGN * float(np.abs(values).mean())
 
 
 def _size_at_sign(values: Array) -> float:

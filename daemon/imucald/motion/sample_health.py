@@ -168,7 +168,7 @@ class _Sensor(FaultsInForce):
             if True in flags:
                 for h, flag in enumerate(flags):
                     if flag and axes not in found[h].get(fault, ""):
-                        found[h][fault] = found[h].get(fault, "") + axes
+                        found[h][fault] = "".join(sorted(found[h].get(fault, "") + axes))
         return [faults if count else None for faults, count in zip(found, counts, strict=True)]
 
 

@@ -81,7 +81,7 @@ class _RefusedError(Exception):
 
 
 def _damaged(text: str) -> _RefusedError:
-    return _RefusedError("corrupt", f"it is damaged: {text}")
+    return _RefusedError("corrupt", text)
 
 
 class RecordFiles(Generic[Content]):
@@ -222,9 +222,13 @@ class RecordFiles(Generic[Content]):
         sync_folder(self.folder)
 
     def encoded(self, generation: int, content: Content) -> bytes:
-        """Return the bytes of a file. Raises ValueError if a number is not finite."""
-        record = {**self._owner, "generation": generation, **to_builtins(content)}
-        body = json.dumps(record, allow_nan=False, indent=1).encode()
+        """Return the bytes of a file.
+
+        Raises ValueError if a number is not finite, or a text cannot be encoded.
+        """
+        plain = to_builtins(content, enc_hook=lambda number: number.item())
+        record = {**self._owner, "generation": generation, **plain}
+        body = json.dumps(record, allow_nan=False, ensure_ascii=False, indent=1).encode()
         return with_checksum(f"{self._kind} {VERSION} {len(body)}", body)
 
     def decoded(self, data: bytes) -> tuple[int, Content]:
@@ -237,13 +241,14 @@ class RecordFiles(Generic[Content]):
         if version not in READABLE:
             text = version[:12].decode("ascii", "replace")
             raise _RefusedError("other-version", f"its version is {text}, not {VERSION}")
-        if not is_right or length not in (b"", str(len(body)).encode()):
+        is_whole = length == str(len(body)).encode() or (version == b"1" and not length)
+        if not (is_right and is_whole):
             raise _damaged("its checksum or its length is wrong")
         try:
             record = decode(body)
             generation = record.get("generation", 1)
             owner = {name: str(record[name]) for name in self._owner}
-            if type(generation) is not int or not 1 <= generation <= LARGEST_NUMBER:
+            if type(generation) is not int or not 1 <= generation < LARGEST_NUMBER:
                 raise ValueError("generation")
             content = self._read(record)
         except Exception as error:  # whatever a file holds: without it the start goes on
