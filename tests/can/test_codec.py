@@ -181,7 +181,7 @@ def test_j1939_can_be_forced_and_forbidden(database: Database) -> None:
     plain = replace(eec1, is_j1939=False)
     assert id_match(plain, j1939=True) == id_match(eec1)
     assert id_match(imu, j1939=True) == id_match(imu, j1939=False)  # 11 bits are no PGN
-    with pytest.raises(DatabaseError, match=r"IMU is no message of J1939.*11 bits"):
+    with pytest.raises(DatabaseError, match=r"IMU is not a J1939 message.*11 bits"):
         id_match(imu, j1939=True, source_address=3)
 
 

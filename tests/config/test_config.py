@@ -79,7 +79,7 @@ def test_shorthands_and_long_forms_are_the_same():
             "dir/car.yaml:2: not valid YAML: found character that cannot start any token"
             "; indent with spaces, not tabs",
         ),
-        ("a: 1\nb: 2\na: 3\n", "dir/car.yaml:3: the key 'a' stands here a second time"),
+        ("a: 1\nb: 2\na: 3\n", "dir/car.yaml:3: the key 'a' occurs here a second time"),
         ("a: &x [1]\nb: *x\n", "dir/car.yaml:2: YAML aliases"),
         ("? [1, 2]\n: 3\n", "a key must be a plain word"),
         ("a: !!python/object:os.system x\n", "dir/car.yaml:1:"),

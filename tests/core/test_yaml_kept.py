@@ -51,7 +51,7 @@ def test_another_text_is_parsed_and_a_wrong_one_is_reported_each_time(folder):
     assert read_yaml("a: 1.0", "x")[0] == {"a": 1.0}
     assert type(read_yaml("a: 1.0", "x")[0]["a"]) is float
     for _ in range(2):
-        with pytest.raises(ConfigError, match="x:2: the key 'a' stands here a second time"):
+        with pytest.raises(ConfigError, match="x:2: the key 'a' occurs here a second time"):
             read_yaml("a: 1\na: 2", "x")
 
 

@@ -165,7 +165,7 @@ def test_the_file_of_look_alikes_says_that_it_may_hold_the_wrong_one(
     model = tmp_path / "extended.yaml"
     asked["answer"] = replace(made.ambiguous(), model_after=made.AFTER)
     _, out, _ = diagnosed(log, "--write-model", model)
-    assert "for prediction only: it holds one of several causes that fit equally well" in (
+    assert "for prediction only: it contains one of several causes that fit equally well" in (
         " ".join(out.split())  # where a line breaks depends on the length of the path
     )
     assert "ambiguous: mount rotation. The mount of the sensor differs" in out

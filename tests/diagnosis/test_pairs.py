@@ -103,7 +103,7 @@ def shaken(s, R):
     [(after_effect, "accel", ("the last acceleration", "accelerating")),
      (outer_wheel, "speed", ("side at which",)),
      (shaken, "accel", ("shaking",)),
-     (uneven_gain, "gyro", ("the side it turns to", "the amount of turning")),
+     (uneven_gain, "gyro", ("the direction of turning", "the amount of turning")),
      (late_when_it_pulls, "speed", ("accelerating", "acceleration")),
      (zero_by_speed, "accel", ("the speed", "crawling"))],
 )  # fmt: skip

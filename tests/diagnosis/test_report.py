@@ -124,7 +124,7 @@ def test_the_file_of_an_ambiguous_verdict_is_for_prediction_only():
     d = replace(made.ambiguous(), look_alikes=(two,), model_after=made.AFTER)
     why = "one of two causes that fit equally well"
     text = page(d).text
-    assert f"for prediction only: it holds {why}" in words.verdict(d).explanation
+    assert f"for prediction only: it contains {why}" in words.verdict(d).explanation
     assert words.advice_in_short(d) == ("for prediction only", why)
     assert "use it" not in text
     assert "nothing that was looked for" not in text

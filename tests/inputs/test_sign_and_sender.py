@@ -106,7 +106,7 @@ def test_a_speed_with_a_sign_bit_shows_reverse(tmp_path):
         ("{signal: ESP_02.Signed, sign_signal: ESP_02.VZ_Rate}", "is signed already"),
         (
             "{signal: ESP_02.Rate, sign_signal: OTHER.Bit, source_address: 3}",
-            "yaw_rate.sign_signal: .* OTHER is no message of J1939",
+            "yaw_rate.sign_signal: .* OTHER is not a J1939 message",
         ),
         ("{raw: {id: 1, value: '1'}, unit: rad/s, sign_signal: ESP_02.VZ_Rate}", "needs 'signal'"),
     ],

@@ -178,7 +178,7 @@ def drive() -> Drive:
     return simulate(random_model(976_001, standing_first=True), 976_001, 12.0)
 
 
-ASKS_FOR_DRIFT = "bends: they show whether the accelerometer's zero drifts ("
+ASKS_FOR_DRIFT = "bends, to decide whether the accelerometer's zero drifts ("
 
 
 @pytest.mark.slow

@@ -85,6 +85,6 @@ def test_no_bend_is_asked_for_where_no_signal_shows_turns():
 def test_a_level_zero_that_may_drift_waits_for_bends():
     known = replace(level(0.9), std_without_drift=(0.4 * DEG, 0.9 * DEG, 0.1 * DEG))
     found = waiting_for(known, SETTINGS, MountState.USABLE)
-    assert found["roll"][0].startswith("bends: they show whether the accelerometer's zero drifts (")
+    assert found["roll"][0].startswith("bends, to decide whether the accelerometer's zero drifts (")
     assert found["roll"][1] is Missing.TURNS
     assert found["pitch"][1] is Missing.MORE_DRIVING

@@ -161,7 +161,7 @@ def test_a_stop_before_the_disk_took_it_says_that_the_next_start_brings_it_back(
     disk.on = True
     kept.keeper.forget()
     kept.keeper.close(_Waiting(), 1.0)
-    assert "the next start brings it back" in " ".join(kept.said)
+    assert "the next start restores this state" in " ".join(kept.said)
     assert "the state before it is still saved" not in " ".join(kept.said)
 
 

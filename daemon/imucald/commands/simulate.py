@@ -93,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         help="with --interface: how many times as fast as real time (default: 1). A listening "
-        "daemon uses real time: only 1 gives a mount",
+        "daemon uses real time: it finds the mount only with 1",
     )
     parser.add_argument(
         "--write-model",

@@ -39,10 +39,10 @@ class MotionCompensationSettings(Settings, frozen=True):
     speed_is: Literal["along_road", "horizontal"] = "along_road"
     """Kind of speed: along the road (wheels) or horizontal (satellites)."""
     centripetal: Literal["full", "plane"] = "full"
-    """omega x v in full, or rate times speed as one number (method B alone)."""
+    """Centripetal acceleration: omega x v, or yaw rate times speed (method B alone)."""
     rate_time: NotNegative = 0.0
-    """Method B alone: time constant with which the force corrects angles carried by the rate [s];
-    0: force alone."""
+    """Method B alone: time constant with which the specific force corrects the angles
+    integrated from the rate [s]; 0: specific force alone."""
     send: bool = False
     """True: the specific force less the vehicle's acceleration is sent and reported
     (`IMUCALD_FreeAcceleration`)."""
@@ -158,11 +158,11 @@ class ChoiceSettings(Settings, frozen=True):
     turn_deg: Positive = 60.0
     """A larger change of the compass since the last cycle is a turn."""
     tilt_on_turn_deg: NotNegative = 5.0
-    """On a turn the tilt heading is used from this pitch or roll on."""
+    """During a turn the tilt heading is used if pitch or roll exceeds this angle."""
     differ_deg: NotNegative = 30.0
-    """The two headings contradict each other from this difference on."""
+    """The two headings contradict each other if they differ by more than this."""
     tilt_deg: NotNegative = 5.0
-    """Without turn and contradiction the tilt heading is used from this pitch or roll on."""
+    """In other cases the tilt heading is used if pitch or roll exceeds this angle."""
 
     turn = Radians("turn_deg")
     tilt_on_turn = Radians("tilt_on_turn_deg")

@@ -98,7 +98,7 @@ def judge(
     may hold its sign.
     """
     if (move := sensor_move(motion)) is not None:
-        text = f"{move.words}. Check a log from before or after: this log compares two mounts"
+        text = f"{move.words}. Check a log without the move: this log contains two mounts"
         yield Finding("warning", "accelerometer", text)
         yield from _speed_against_wheels(motion, unit_advice.get("speed"))
         yield from _reverse(motion)

@@ -41,7 +41,7 @@ class SensorMove:
     def words(self) -> str:
         """What happened and when."""
         when = f"between {clock(self.before)} and {clock(self.after)}"
-        return f"the sensor was moved {when}: gravity turns by {self.deg:.0f} deg in it"
+        return f"the sensor was moved {when}: gravity in its axes turns by {self.deg:.0f} deg"
 
 
 def sensor_move(motion: Motion) -> SensorMove | None:

@@ -73,7 +73,7 @@ def _refuse_heavy(text: str, loader: type, name: str) -> None:
         if isinstance(event, yaml.ScalarEvent) and encodable(event.value) != event.value:
             # libyaml itself refuses such a character; the parser of a PyYAML without libyaml does
             # not.
-            raise ConfigError(f"{name}:{line}: a character that UTF-8 cannot hold")
+            raise ConfigError(f"{name}:{line}: a character that UTF-8 cannot encode")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
@@ -100,7 +100,7 @@ def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) 
                 raise ConfigError(f"{name}:{key_line}: a key must be a plain word")
             key = key_node.value
             if key in result:
-                raise ConfigError(f"{name}:{key_line}: the key '{key}' stands here a second time")
+                raise ConfigError(f"{name}:{key_line}: the key '{key}' occurs here a second time")
             marks[(*place, key)] = key_line
             result[key] = _build(loader, value_node, (*place, key), marks, name)
         return result

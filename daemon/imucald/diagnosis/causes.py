@@ -77,15 +77,15 @@ def _one(key: str, unit: str, tolerance: float, source: str, low: float, high: f
 
 
 _IMU = ("accel", "gyro")
-_TURN = "the axis of turning of a measured van lies 3 to 4 deg from what an INS says"
+_TURN = "the axis of turning of a measured van lies 3 to 4 deg from that of its INS"
 _TAPE = "a tape measure against an unknown centre of gravity"
-_DELAY = "one cycle of 50 Hz and a task's: 30 ms"
+_DELAY = "one cycle of 50 Hz and one cycle of a task: 30 ms"
 _TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
 
 _ROWS: tuple[Parameter, ...] = (
-    *_axes("accel.bias", "m/s^2", 0.06, f"0.4 mg/K over 10 K, and 0.2 % of one g by axes that are"
-           f" not square, {MEMS}", 1.0, ("accel",), "xy"),
-    *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K over 10 K, and 0.5 % of one g by the gain,"
+    *_axes("accel.bias", "m/s^2", 0.06, f"0.4 mg/K over 10 K, and 0.2 % of one g from axes that"
+           f" are not orthogonal, {MEMS}", 1.0, ("accel",), "xy"),
+    *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K over 10 K, and 0.5 % of one g from the gain,"
            f" {MEMS}", 1.0, ("accel",), "z"),
     # Sensitivity varies by 10 % (ADXL335: 270 to 330 mV/g) and is proportional to the supply
     # voltage, which varies by 5 %.
@@ -97,8 +97,9 @@ _ROWS: tuple[Parameter, ...] = (
     *_axes("gyro.bias", "rad/s", 0.05 * DEG, f"0.05 (deg/s)/K over a kelvin, {MEMS}; stops of one"
            " measured drive differ by 0.03 deg/s", 10.0 * DEG, _IMU),
     *_axes("gyro.scale", "1", 0.01, f"sensitivity over temperature, {MEMS}", 0.18, _IMU, "012"),
-    *_axes("gyro.cross_axis", "1", 0.003, "axes of one die are square to 0.2 deg; the package's"
-           " turn in a data sheet's 2 % is the mount's", 0.10, _IMU, "012345"),
+    *_axes("gyro.cross_axis", "1", 0.003, "axes of one die are orthogonal to 0.2 deg; the 2 % of"
+           " data sheets include the turn of the package, which belongs to the mount", 0.10,
+           _IMU, "012345"),
     # One g changes the zero by at most the full zero-rate offset of a data sheet: 3 deg/s (BMI160).
     *_axes("gyro.g_sensitivity", "(rad/s)/(m/s^2)", 0.01 * DEG, f"0.1 (deg/s)/g, {MEMS}",
            0.3 * DEG, _IMU, "012"),
@@ -147,11 +148,11 @@ _ROWS: tuple[Parameter, ...] = (
     _one("suspension.dive_gradient", "rad/(m/s^2)", 0.0015, "cars differ by 1 deg/g", -0.005,
          0.015, *_IMU),
     _one("suspension.roll_gradient", "rad/(m/s^2)", 0.0025,
-         "superelevation of 2 % at 8 m/s^2 and less imitates it", -0.008, 0.03, *_IMU),
+         "superelevation of 2 % at up to 8 m/s^2 looks like body roll", -0.008, 0.03, *_IMU),
     _one("_road.superelevation", "rad/(m/s^2)", 0.03,
          "a curve's superelevation carries up to 0.3 of the sideways force", -0.02, 0.06, *_IMU),
-    _one("_steering.variable_ratio", "1/rad^2", 0.4, "racks of variable ratio: a tenth at half a"
-         " radian of the road wheels; slip angles for tangents: 1/3", -2.0, 2.0, "steering"),
+    _one("_steering.variable_ratio", "1/rad^2", 0.4, "racks of variable ratio: 10 % at 0.5 rad"
+         " of the road wheels; angles used in place of tangents: 1/3", -2.0, 2.0, "steering"),
     _one("_tyre.rear_slip", "s^2/m", 0.003, "m l_f/(L C_r), 0.002 to 0.006 for cars", -0.01,
          0.01, "gyro"),
     _one("_speed.driven_slip", "s^2/m", 0.004, "driven wheels' slip stiffness 20 to 30", -0.02,

@@ -10,7 +10,7 @@ from imucald.discovery.names import WHEELS, axes_by_name, wheel_by_name
 from imucald.discovery.proposal import Choice, source_of
 from imucald.discovery.scalars import by_unit_and_name
 
-WHY = "chosen by unit and names only: the recording does not confirm it, or shows another size"
+WHY = "chosen by unit and names only: the recording does not confirm it, or contradicts its size"
 _SENSORS = {
     "accelerometer": "acceleration",
     "gyroscope": "angular_rate",

@@ -76,7 +76,7 @@ class SeenSignal:
     source_address: int | None = None
     """Source address of the sender, if several units send this J1939 message."""
     own_channel: str | None = None
-    """The channel that its source must name, for a raw source in a recording with several."""
+    """The channel to state in a raw source, if the recording has several channels."""
 
     @property
     def path(self) -> str:
@@ -159,7 +159,7 @@ def readable_messages(database: Database) -> Iterator[tuple[Message, IdMatch]]:
 
 
 def compared_by_pgn(database: Database, traffic: Sequence[Traffic]) -> Database | None:
-    """Return the database with J1939 messages, if its 29-bit identifiers come only so; else None.
+    """Return the database read as J1939 if its 29-bit identifiers come only so; else None.
 
     Many J1939 databases do not say that they are J1939. Their messages then come with another
     source address or priority than in the database.
@@ -274,7 +274,7 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
 def signed_elsewhere(
     messages: Mapping[str, MessageTraffic], found: Sequence[SeenSignal], ticks: int
 ) -> Iterator[SeenSignal]:
-    """Yield magnitudes without a sign in their message, each with its best sign bit of another one.
+    """Yield magnitudes without a sign bit in their message, each with the best bit elsewhere.
 
     The values are those of a configuration with this `sign_signal`.
     """
@@ -320,7 +320,9 @@ def signed_elsewhere(
 def _decoded(
     one: MessageTraffic, c: SeenSignal
 ) -> tuple[Array, Array, NDArray[np.generic], NDArray[np.intp]]:
-    """Return times and values (N,) where a signal has a value, all raw numbers, and the rows."""
+    """Return times and values (N,) of the frames in which a signal has a value, the raw numbers of
+    all frames, and the indices (N,) of these frames.
+    """
     found = compile_decode(one.message, [c.signal.name], may_be_cut=True).decode_columns(
         one.data, one.length
     )
@@ -332,7 +334,7 @@ def _decoded(
 
 
 def _size_at_sign(values: Array) -> float:
-    """Return the mean size where values change their sign, relative to their mean size."""
+    """Return the mean magnitude of values at changes of sign, relative to their mean magnitude."""
     at = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     usual = float(np.abs(values).mean()) if len(values) else 0.0
     return float(np.abs(values[at]).mean()) / usual if len(at) and usual else math.inf

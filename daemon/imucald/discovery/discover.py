@@ -65,7 +65,7 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
     is_later = recording.seconds - move.after > move.before
     first, last = (move.after, recording.seconds) if is_later else (0.0, move.before)
     part = recording.between(first, last)
-    what_is_used = "nothing here is certain: give a recording without a move"
+    what_is_used = "so no entry is certain: give a recording without a move"
     if part.seconds >= LEAST_PART_S:
         proposal, _ = _discovered(databases, part)
         what_is_used = f"only {clock(first)} to {clock(last)} of the recording is used"

@@ -66,7 +66,7 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
 
 def _contradiction(fit: GyroFit) -> str:
     if fit.is_contradicted:
-        return "turns show other signs or axes than slopes do"
+        return "turns and slopes give different signs or axes"
     return ""
 
 
@@ -91,12 +91,12 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
         )
     if fit.carried.is_believed:
         words.append(
-            "gravity turns in the accelerometer as its rates say (correlation "
+            "its rates explain how gravity turns in the accelerometer (correlation "
             f"{fit.carried.correlation:.2f})"
         )
     if fit.order[1][0] < 0:
         words.append("its signs are opposite to those of the accelerometer axes")
     words.append(
-        "axes as named" if triad.names_axes else "turns and gravity show the axis of each signal"
+        "axes as named" if triad.names_axes else "each axis was found from turns and gravity"
     )
     return "; ".join(words)

@@ -28,18 +28,18 @@ GAIN = 1.5
 """Largest accepted gain ratio, between 1 (right unit) and 2 (half or twice the unit)."""
 
 REVERSED = (
-    "this sensor seems to show minus the specific force, so 'sign: -1' is set: without it, "
+    "this sensor seems to output minus the specific force, so 'sign: -1' is set: without it, "
     "the sensor turns against the course. Check it at rest: if the axis that points up shows "
     "+1 g without 'sign: -1', remove 'sign: -1'"
 )
 PERHAPS_REVERSED = (
     "{heading} turns counter-clockwise compared with this sensor. If {heading} is a compass "
-    "course, the sensor shows minus the specific force: set 'sign: -1' on all three axes"
+    "course, the sensor outputs minus the specific force: set 'sign: -1' on all three axes"
 )
 ONLY_AS_TURNED = (
-    "{heading} is clockwise only with 'sign: -1' on the gyroscope, which is unsure. If the "
-    "gyroscope needs no 'sign: -1', this sensor shows minus the specific force: set 'sign: "
-    "-1' on all three axes"
+    "{heading} is clockwise only with 'sign: -1' on the gyroscope, and that sign is "
+    "uncertain. If the gyroscope needs no 'sign: -1', this sensor outputs minus the specific "
+    "force: set 'sign: -1' on all three axes"
 )
 TURNED_TO_FIT = (
     "its signs are set to fit the accelerometer, but {heading} turns counter-clockwise "

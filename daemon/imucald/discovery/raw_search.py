@@ -54,7 +54,11 @@ def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choic
         return None
     others = [Alternative({"": source}, text) for source, text in offers[:MAX_OFFERS]]
     return Choice(
-        quantity, {}, "no database describes it; these bytes change as it does", why, others
+        quantity,
+        {},
+        "no database describes it, but these bytes change as this quantity does",
+        why,
+        others,
     )
 
 

@@ -168,8 +168,8 @@ class FinishedRows:
     """Rows of a finished table: the valid ones of the rows read, sorted.
 
     They are assembled one row group at a time, so that the table is in memory once, not three
-    times. kept: indices of the rows that count; None for all. instead: texts in place of a column's
-    own, for the kept rows.
+    times. kept: indices of the rows that count; None for all. instead: by column, texts that
+    replace its values in the kept rows.
     """
 
     def __init__(

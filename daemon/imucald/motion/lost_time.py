@@ -1,9 +1,9 @@
-"""Lost time of a stream: time in which samples came but the clock stood still.
+"""Find lost time of a stream: samples came while the clock of their stamps stood still.
 
 Stream time never goes back. If the clock of the stamps is set back a little, stream time stands
-until the stamps have caught up. An integral of a rate over stream time misses the rotation
-meanwhile. Time also stands still for samples that come late or in batches, but then a longer step
-comes before or after. Only time without such a longer step is lost.
+until the stamps have caught up. A rate integrated over stream time misses the rotation during this
+time. Time also stands still for samples that come late or in batches, but then a longer step comes
+before or after. Only time without such a longer step is lost.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LostTime:
         self._passed = 0.0  # what passed over them
         self._ahead = 0.0  # time in excess of the samples, not made up for
         self.skipped = 0.0
-        """Time of the last step in excess of the samples that came in it [s], 0.0 or more."""
+        """Excess of the last step over one sensor cycle per sample [s]; 0.0 for a usual step."""
 
     def take(self, step: float) -> float:
         """Take the step of time to a sample [s], not negative; return the time lost before it.

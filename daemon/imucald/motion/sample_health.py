@@ -1,8 +1,8 @@
 """Decide from every sample which sensors are usable, for sending and for learning.
 
-`SampleHealth` uses hops of half a second (`hops`), live and by columns, with equal bits. A fault
-counts from the end of the hop that shows it until the sensor has had no fault for a while
-(`signal_health`).
+`SampleHealth` uses hops of half a second (`hops`), live and by columns, with bit-equal results. A
+fault counts from the end of the hop in which it was found until the sensor has had no fault for a
+while (`signal_health`).
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ BRAKING = 4.0
 """A vehicle may have braked with up to this [m/s^2] since its speed was last received."""
 NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 """Noise densities of consumer sensors per root of hertz: 180 ug, 0.007 deg/s (BMI160 data sheet),
-and 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset). The field's value of 0.08 uT
-is less than that data sheet gives.
+and 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset). The value of 0.08 uT used
+here for the field is below that of the data sheet.
 """
 WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
@@ -146,7 +146,7 @@ class _Sensor(FaultsInForce):
     def judge(
         self, rows: HopRows, moving: Flags, other: Array
     ) -> list[dict[SignalFault, str] | None]:
-        """Return the faults that each hop shows; None for a hop without samples."""
+        """Return the faults found in each hop; None for a hop without samples."""
         wild = np.zeros(len(moving), dtype=bool)
         some = rows.count > 0
         if self.axes == 3 and self.channel == "accel":
@@ -252,9 +252,9 @@ class SampleHealth:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, samples: Samples, first: int, last: int) -> list[Mapping[str, Faults]]:
-        """Take all samples of ticks `first` to `last`; the last tick stays open.
+        """Take all samples of ticks `first` to `last`; tick `last` may get more samples.
 
-        Returns the present faults after each hop that ended.
+        Returns the faults at the end of each complete hop (half a second).
         """
         begin = first // HOP_TICKS
         hops = last // HOP_TICKS - begin
@@ -312,7 +312,7 @@ class SampleHealth:
         return out
 
     def _is_moving(self, speed: float | None) -> bool:
-        """Return whether the vehicle moved during the whole hop, as far as speeds show."""
+        """Return whether the vehicle moved during the whole hop according to the speeds."""
         self._speed_age += 1
         if speed is not None:
             self._speed, self._speed_age = speed, 0

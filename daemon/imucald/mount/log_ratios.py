@@ -28,11 +28,11 @@ TO_BE_FINE = -math.log(1e-4)
 TO_ACCUSE = -2.0 * math.log(1e-4)
 """An accusation needs more evidence, as neighbouring blocks are not quite independent."""
 MOST, HELD = 3.0, 40.0
-"""Limits of one block and of a sum: later blocks can still change what earlier ones showed."""
+"""Limits of one block and of a sum: later blocks can still reverse the result of earlier blocks."""
 INDEPENDENT = 5.0
 """Independent values of a signal in a block: slopes and motion are correlated for a second."""
 LEAST_TICKS = 60
-"""Smallest number of usable ticks in a block that counts."""
+"""A block with fewer usable ticks does not count."""
 ENOUGH = 60
 """Blocks (6 min of driving) after which the mount no longer waits for a clear result of an
 alternative.
@@ -40,7 +40,7 @@ alternative.
 
 
 def is_seen(ratio: float, blocks: int, least: float) -> bool:
-    """True if a log ratio rules an alternative out, or a long search found nothing for it."""
+    """True if a log ratio excludes an alternative, or a long search found no evidence for it."""
     return ratio > least or (blocks > ENOUGH and ratio > -TO_BE_GOOD)
 
 
@@ -53,7 +53,7 @@ def share_seen(ratio: float, blocks: int, least: float) -> float:
 
 
 class Mirrored:
-    """Two signals that show the same motion, compared with the same signals of opposite signs."""
+    """Test of whether two signals of the same motion have equal or opposite signs."""
 
     def __init__(self, floor: float, independent: float = INDEPENDENT) -> None:
         self._floor = BLOCK_TICKS * floor * floor
@@ -87,5 +87,5 @@ class Mirrored:
 
     @property
     def is_opposite(self) -> bool:
-        """True if the opposite sign fits much better."""
+        """True if the opposite sign is much more likely."""
         return self.sum < -TO_BE_GOOD

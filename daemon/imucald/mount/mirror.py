@@ -1,13 +1,13 @@
 """Decide whether the accelerometer is mirrored or the other signals are, from the frequency of each
 case.
 
-If an accelerometer shows minus the specific force, all signals that tell left from right need the
-other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does not need
-the other sign: with it, such a sensor looks like a correct one that sits upside down and backwards.
-If the axes of the accelerometer are a left-handed set, the gyroscope needs the other sign too. The
-other signals may also have the other sign themselves, each for its own reason, or all together in a
-vehicle that counts to the right. The data are the same in all these cases, but some cases are much
-more frequent.
+If an accelerometer outputs minus the specific force, all signals that distinguish left from right
+need the other sign: yaw rate, steering angle, lateral acceleration, the wheels. A gyroscope does
+not need the other sign: with it, such a sensor looks like a correct one that sits upside down and
+backwards. If the axes of the accelerometer are a left-handed set, the gyroscope needs the other
+sign too. The other signals may also have the other sign themselves, each for its own reason, or all
+together in a vehicle that counts to the right. The data are the same in all these cases, but some
+cases are much more frequent.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 MINUS = 0.1
-"""Fraction of the accelerometers that show minus the specific force: 6 of some 25 senders of public
-logs, half of them telephones.
+"""Fraction of the accelerometers that output minus the specific force: 6 of some 25 senders of
+public logs, half of them telephones.
 """
 LEFT_HANDED, LEFT_HANDED_BY_PLACES = 0.01, 0.05
 """Fraction of the sensors whose axes are a left-handed set: if names give the order, and if places
@@ -43,7 +43,7 @@ DOUBTED = 1.0 / 3.0
 SIDED = ("yaw_rate", "steering_wheel_angle", "lateral_acceleration")
 AT_REST = "at rest, the axis that points up must show +1 g"
 REMEDY = (
-    "if the accelerometer shows minus the specific force, or its axes are left-handed, set "
+    "if the accelerometer outputs minus the specific force, or its axes are left-handed, set "
     "'sign: -1' on all three accelerometer axes and remove it from the other signals; "
     f"{AT_REST}"
 )

@@ -197,8 +197,9 @@ def steep_note(estimate: MountEstimate) -> str | None:
 def mirror_note(estimate: MountEstimate) -> str | None:
     """Return the note for an unconfirmed mount that is upside down and backwards.
 
-    An accelerometer that shows minus the specific force, on a sensor that sits the right way round,
-    gives the same mount. Returns None if the mount is another one, or if signals have confirmed it.
+    An accelerometer that outputs minus the specific force gives the same mount on a sensor that
+    sits the right way round. Returns None if the mount is another one, or if signals have confirmed
+    it.
     """
     R, std = estimate.R_vehicle_from_sensor, estimate.std
     if R is None or std is None or not estimate.details.get("not_checked"):
@@ -242,7 +243,7 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
     """
     text = STATED_WRONG if is_given else SAVED_WRONG
     if turned_deg is None:
-        return f"{text}: it would tilt gravity more than any road does"
+        return f"{text}: gravity would be tilted more than on any road"
     return f"{text}: it is off by {turned_deg:.0f} deg"
 
 

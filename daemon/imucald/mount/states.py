@@ -240,6 +240,6 @@ def _level_reason(axis: int, known: MountKnowledge, goal: _Goal) -> tuple[str, M
         return _first_reason(known)
     far, still = goal.far(axis, known.std[axis]), known.std_without_drift
     if still is not None and still[axis] < goal.tilt:
-        text = f"bends: they show whether the accelerometer's zero drifts{far}"
+        text = f"bends, to decide whether the accelerometer's zero drifts{far}"
         return text, Missing.TURNS
     return f"more driving: slopes average out{far}", Missing.MORE_DRIVING

@@ -223,7 +223,7 @@ def _advice(diagnosis: Diagnosis) -> str:
             "stops. They do not change its predictions."
         )
     if diagnosis.recommended and (why := for_prediction_only(diagnosis)):
-        return f" The extended model file is for prediction only: it holds {why}."
+        return f" The extended model file is for prediction only: it contains {why}."
     if diagnosis.recommended:
         return " The extended model file predicts better on data that its fit did not see: use it."
     if {s.kind for s in diagnosis.structure} & {GOES_AGAINST, TOO_MUCH}:

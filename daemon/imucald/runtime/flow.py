@@ -94,7 +94,7 @@ def flow(status: Mapping[str, Any]) -> Flow:
     if (cause := _why_none(status)) is not None:
         return Flow(FlowKind.NONE, f"{cause}: no corrected frames (mount: {state})")
     if "id_conflict" in present_alarms(status):
-        text = f"ANOTHER NODE SENDS OUR IDS: its frames come as ours (mount: {state})"
+        text = f"ANOTHER NODE SENDS OUR IDS: its frames look like ours (mount: {state})"
         return Flow(FlowKind.CONFLICT, text)
     if is_starting(status):
         return Flow(FlowKind.STARTING, "starting: no corrected frames yet")

@@ -305,7 +305,7 @@ class CalibrationStore:
         """Log at the end that a reset did not reach the disk."""
         if not self.store.is_forgotten:
             text = f"the state that was reset could not be removed from {self.store.folder}"
-            self._say(f"{text}: the next start brings it back; reset again then", WARNING)
+            self._say(f"{text}: the next start restores this state; reset again after it", WARNING)
 
     def status(self) -> dict[str, Any]:
         """Return the part of `imucald status` about saving."""

@@ -42,7 +42,7 @@ def gathered(sockets: Iterable[Path]) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return a text in the form for the quotes of a label."""
+    """Escape a text for the quoted value of a label."""
     return encodable(text).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 

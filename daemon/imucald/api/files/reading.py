@@ -53,7 +53,7 @@ def _opened(file: Path) -> tuple[dict[str, Any], Path, Reader]:
         result = file.with_name(f"{stem}.result.json")
         if stem and result.exists():
             return json.loads(result.read_text(encoding="utf-8")), file.parent, csv_text.read_tables
-    raise ImucaldError(f"{file.stem}.result.json is missing, which was written together with it")
+    raise ImucaldError(f"{file.stem}.result.json, written together with it, is missing")
 
 
 def _beside(file: Path) -> Path:

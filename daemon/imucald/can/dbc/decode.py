@@ -1,8 +1,8 @@
 """Decode plans: a message and the requested signals, prepared once.
 
-`decode` takes one frame; it is the specification. `decode_columns` does the same for many frames,
-with numpy. Both give the same doubles as cantools. The values of multiplexers are compared as raw
-values. `encode` is the reverse; `database` reads databases.
+`decode` decodes one frame and is the reference implementation. `decode_columns` gives the same
+values for many frames, with numpy. Both give the same doubles as cantools. The values of
+multiplexers are compared as raw values. `encode` is the reverse; `database` reads databases.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ J1939_NO_ADDRESS = 0xFE
 
 Raw = int | float | None
 Words = tuple[int, int]
-"""A frame as one integer, little-endian and big-endian."""
+"""The bytes of a frame as one integer, little-endian and big-endian."""
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 
 
@@ -86,13 +86,13 @@ def id_match(
         return IdMatch(can_id, mask, channel)
     if source_address is not None:
         why = (
-            "its database has 'j1939: true' in the configuration"
+            "set 'j1939: true' at its database in the configuration"
             if is_extended
             else "its identifier has 11 bits"
         )
         raise DatabaseError(
-            f"{message.source}: message {message.name} is no message of J1939, whose identifier "
-            f"has a source address: {why}"
+            f"{message.source}: message {message.name} is not a J1939 message, so it has no "
+            f"source address: {why}"
         )
     return IdMatch(message.can_id, CAN_EFF_MASK if is_extended else CAN_SFF_MASK, channel)
 
@@ -117,7 +117,7 @@ class DecodePlan:
 
     `size`: length of the message [bytes]. `least`: shortest accepted frame [bytes]. `least` is less
     than `size` if frames may be cut; signals outside the frame are then absent. `ends`: for each
-    signal, the frame length [bytes] that is needed to hold it. `decode_raw(data)`: returns raw
+    signal, the shortest frame [bytes] that contains it. `decode_raw(data)`: returns raw
     values; None if the signal is absent because of the multiplexer or of a cut frame. `scale(raw)`:
     converts raw values to physical values. `decode(data)`: does both steps. `decode_raw` and
     `decode` raise DecodeError ("short_frame"). Infinite and NaN floats are returned unchanged.
@@ -205,7 +205,7 @@ class DecodePlan:
     def presence(
         self, data: Columns, length: NDArray[np.uint8]
     ) -> Mapping[Selectors, NDArray[np.bool_]]:
-        """For each set of multiplexer values that signals need, return the frames (N,) with it."""
+        """Return the frames (N,) with each set of multiplexer values that signals need."""
         if not self.multiplexers:
             return {}
         data = self._wide(data)

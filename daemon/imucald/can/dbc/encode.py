@@ -269,7 +269,7 @@ def _choose_multiplexers(
         for name, ids in s.selectors:
             allowed[name] = allowed.get(name, ids) & ids
             if not allowed[name]:
-                text = f"signals of different {name} values are asked of one frame"
+                text = f"its signals need different values of {name} in one frame"
                 raise DatabaseError(f"{message.source}: message {message.name}: {text}")
     for name in allowed:
         resolve(message, name)

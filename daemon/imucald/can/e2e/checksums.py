@@ -44,7 +44,7 @@ class ChecksumOptions(Protocol):
 
     @property
     def signal(self) -> str | None:
-        """The signal that holds the checksum."""
+        """The signal that contains the checksum."""
 
     @property
     def id_bytes(self) -> int:
@@ -193,7 +193,7 @@ def in_signal(function: SignalChecksum) -> ChecksumKind:
 
     def made(message: Message, options: ChecksumOptions) -> ChecksumSpec:
         if options.signal is None:
-            raise ConfigError("needs 'signal:', the signal that holds the checksum")
+            raise ConfigError("needs 'signal:', the signal that contains the checksum")
         field = field_of(message.signal(options.signal))
         identifier = (message.can_id & CAN_EFF_MASK).to_bytes(4, "big")
         position = field.first_bit // 8

@@ -32,7 +32,7 @@ REASONS: Final[dict[str, str]] = {
     "no_channel": "the channel is missing",
     "bad_channel": "the channel is not a name of 1 to 32 printable characters",
     "bad_id": "the id is not 3 digits up to 7FF or 8 digits up to 3FFFFFFF",
-    "bad_hex": "the data holds something that is not a hexadecimal digit",
+    "bad_hex": "the data contains a character that is not a hexadecimal digit",
     "odd_digits": "the data has an odd number of digits",
     "too_long": "the data is longer than a frame can be",
     "bad_frame": "the frame is not ID#DATA",

@@ -258,7 +258,7 @@ class Unpacked:
                 if self._plain_bytes > FREE_BYTES + MOST_TIMES * self.bytes_read:
                     raise ValueError(
                         f"its unpacked size would be more than {MOST_TIMES} times its "
-                        "own, which no recording has"
+                        "size: no recording can be compressed that much"
                     )
                 return len(text)
 

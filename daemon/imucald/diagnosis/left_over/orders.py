@@ -91,8 +91,8 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
     size = float(np.sqrt(max(powers[:, best].sum(), 0.0) / energies[:, best].sum()))
     text = (
         f"the residual oscillates {ONCE[harmonic]} in {harmonic / turns[best]:.2f} m of the "
-        f"way, with an amplitude of {100.0 * size:.2g} % of the speed. It turns with a wheel; "
-        f"a sound wheel makes {100.0 * RUN_OUT:.2g} %"
+        f"way, with an amplitude of {100.0 * size:.2g} % of the speed. This is the "
+        f"circumference of a wheel; a wheel without faults causes {100.0 * RUN_OUT:.2g} %"
     )
     return Question(p, size > RUN_OUT, Structure("accel_x", TURNS_WITH_WHEEL, size / RUN_OUT, text))
 

@@ -46,13 +46,13 @@ MEMORY_S = 20.0
 """Time constant of the memory: between the length of a bend and that of a segment."""
 SPEEDS = ("the speed", "crawling", "the time since standing")
 EITHER_WAY = (
-    "accelerating and braking", *(f"the last acceleration of {n:g} times the usual" for n in LARGE)
+    "accelerating and braking", *(f"the last acceleration above {n:g} times the rms" for n in LARGE)
 )  # fmt: skip
 TO_ONE_SIDE = (
-    "the side it turns to", *(f"the last turning of {n:g} times the usual" for n in LARGE)
+    "the direction of turning", *(f"the last turning above {n:g} times the rms" for n in LARGE)
 )  # fmt: skip
 """Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
-STAMPS = "the distance of its time stamps from an even cycle"
+STAMPS = "the deviation of its time stamps from a constant cycle"
 PAUSE_S = 10.0
 """After a longer gap a sender starts again at any phase of its cycle."""
 ENDS = (0.05, 0.95)
@@ -374,7 +374,7 @@ def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
     last = {n: np.maximum.accumulate(np.where(amount > n, rows, 0)) for n in LARGE}
     return {
         side: np.tanh(z),
-        **{f"the last {what} of {n:g} times the usual": np.sign(z[k]) for n, k in last.items()},
+        **{f"the last {what} above {n:g} times the rms": np.sign(z[k]) for n, k in last.items()},
         f"the amount of {what}": amount,
         f"the amount of {what} in {MEMORY_S:g} s": _remembered(amount),
     }

@@ -71,7 +71,7 @@ class State:
     """The table including the equations that are left out."""
     forwards: list[Forward] = field(default_factory=list)
     tables: KeptTables = field(default_factory=KeptTables)
-    """Shared with states derived from this one."""
+    """Tables that this state shares with the states derived from it."""
     _evaluated: VehicleModel | None = None
 
     @property

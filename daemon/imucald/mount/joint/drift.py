@@ -60,7 +60,7 @@ deviation.
 """
 _LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
 NEVER = 700.0
-"""Log odds against what can't be; its exponential is still a number."""
+"""Log odds against the impossible: the exponential of this number does not overflow."""
 _ONE, _AXES = np.eye(3), np.arange(3)
 _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
 """Shares of a step at which the vertical is computed: its middle, and its end."""
@@ -75,8 +75,8 @@ class Drifts(NamedTuple):
     """Deviations before any data, and deviations of the random part of a step."""
 
     rate: float = 0.002
-    """Rate of a zero that drifts by a fault [m/s^2 a second], each axis (assumption): ten times
-    that of a warm-up.
+    """Rate of a zero that drifts because of a fault [m/s^2 a second], each axis (assumption): ten
+    times that of a warm-up.
     """
     warming: float = 0.0002
     """Rate in a warm-up, each axis: 1 mg/K (BMI160) and 10 K in 10 min."""
@@ -100,18 +100,18 @@ class Drifts(NamedTuple):
     """[rad/s a root second].
 
     This gives 0.03 deg/s in 100 s, as in a phone that warms up (vehsense_2018_08_04, which was
-    examined for this value and judges nothing here).
+    examined for this value and is not used as evidence).
     """
     up: float = 0.05
-    """Vertical while no gyroscope carries it [rad]."""
+    """Vertical while there is no gyroscope to integrate it from [rad]."""
     up_walk: float = 1e-3
-    """Vertical while it is carried [rad a root second]: noise and gain of the gyroscope."""
+    """Vertical while it is integrated [rad a root second]: noise and gain of the gyroscope."""
     lost: float = 0.01
-    """Vertical for each unused tick [rad]."""
+    """Growth of the vertical's deviation for each unused tick [rad]."""
     gyro: float = 0.036
     """Tilt of the gyroscope's axes (`state.Priors.gyro`) and of its working axes (`tilt`)."""
     tilt: float = 0.03
-    """Working axes against the vehicle's [rad]."""
+    """Tilt of the working axes relative to the vehicle's axes [rad]."""
     slope: float = SLOPE
     noise: float = 0.1
     """Initial noise of a mean [m/s^2]; it is learnt axis by axis."""
@@ -147,7 +147,7 @@ class Drift(NamedTuple):
     usual: Array = np.zeros((3, 3))
 
     def turned(self, matrix: Array) -> Drift:
-        """Return the same drift in the axes that a matrix (3, 3) leads to."""
+        """Return the same drift in other axes. matrix: (3, 3) rotation into them."""
 
         def both(covariance: Array) -> Array:
             return np.asarray(matrix @ covariance @ matrix.T)
@@ -163,8 +163,8 @@ class Drift(NamedTuple):
         return self.log_odds > 0.0 and float(np.linalg.norm(self.size)) > NAMED
 
     def variance(self) -> Array:
-        """(3,) variance of the present zero about the past one, weighted by the probability of a
-        drift.
+        """(3,) variance of the change from the past zero to the present one, weighted by the
+        probability of a drift.
         """
         odds = self.log_odds + math.log(FALSE_ALARM_H / DOUBT_H)
         share = probability(odds)
@@ -292,10 +292,10 @@ class ZeroDrift:
         )
 
     def axis_of_turning(self) -> tuple[Array, Array]:
-        """Return the tilt of the gyroscope's axis of turning against the vertical.
+        """Return the tilt of the gyroscope's axis of turning relative to the vertical.
 
-        The vertical is the one that the accelerometer shows on level ground. The result is the
-        level part (2,) [rad] and its covariance (2, 2).
+        The vertical is the axis on which the accelerometer measures gravity on level ground. The
+        result is the level part (2,) [rad] and its covariance (2, 2).
         """
         rows = np.zeros((2, STATES))
         rows[:, GYRO] = np.eye(2)
