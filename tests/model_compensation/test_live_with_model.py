@@ -73,9 +73,9 @@ def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
             )
         )
         if k % 7 == 0:
-            daemon.step(0.0)
+            daemon.serve_once(0.0)
             collect()
-    while daemon.step(0.0):
+    while daemon.serve_once(0.0):
         pass
     collect()
     link.close()

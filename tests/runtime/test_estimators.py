@@ -92,9 +92,11 @@ def test_the_estimator_is_the_one_asked_for() -> None:
     assert isinstance(estimator_for(earlier), JointEstimator)
 
 
-def test_without_a_speed_method_a_finds_the_mount() -> None:
+def test_without_speed_and_turns_method_a_finds_the_mount() -> None:
     silent = config({"signals": {k: v for k, v in BASE["signals"].items() if k != "speed"}})
-    assert isinstance(estimator_for(silent), PublishedEstimator)
+    assert isinstance(estimator_for(silent), JointEstimator)
+    alone = config({"signals": {"accelerometer": BASE["signals"]["accelerometer"]}})
+    assert isinstance(estimator_for(alone), PublishedEstimator)
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,9 @@ from imucald.core import files
 from imucald.core.errors import ImucaldError
 from imucald.core.files import free_name, write_file
 from imucald.service.calibration_store import CalibrationStore
+from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.parts import ServiceOptions
-from imucald.service.records import VERSION, FolderInUseError, FolderLock
+from imucald.service.records import VERSION
 from imucald.service.saved_state import KIND, SavedState, StateKey, StateStore
 from imucald.service.service import Service
 from service_bench import running
@@ -193,7 +194,7 @@ def test_a_second_daemon_on_one_folder_is_refused_with_the_pid_of_the_first(tmp_
 def test_a_killed_daemon_leaves_no_lock(tmp_path):
     code = (
         "import sys, time; from pathlib import Path;"
-        "from imucald.service.records import FolderLock;"
+        "from imucald.service.folder_lock import FolderLock;"
         f"lock = FolderLock(Path({str(tmp_path)!r})); print('held', flush=True); time.sleep(60)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)

@@ -52,13 +52,13 @@ import pathlib, sys, time
 sys.path.insert(0, "/usr/lib/imucald")
 from imucald.cli import main
 from imucald.service.live import Daemon
-step = Daemon.step
+serve_once = Daemon.serve_once
 def hanging(self, *arguments):
     if pathlib.Path("/run/imucald/vcan0/hang").exists():
         pathlib.Path("/run/imucald/vcan0/hang").unlink()
         time.sleep(1000)
-    return step(self, *arguments)
-Daemon.step = hanging
+    return serve_once(self, *arguments)
+Daemon.serve_once = hanging
 sys.exit(main(sys.argv[1:]))
 """
 SCRIPT = """

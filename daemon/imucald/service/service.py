@@ -21,6 +21,7 @@ from imucald.runtime.flow import Flow, flow
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
+from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.identity import state_key
 from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import ClockWatch, Daemon
@@ -34,7 +35,7 @@ from imucald.service.parts import (
     repeat_check,
 )
 from imucald.service.recent_history import PERIOD_S, RecentHistory
-from imucald.service.records import FolderInUseError, FolderLock, clear_unfinished
+from imucald.service.records import clear_unfinished
 from imucald.service.reloading import Reloading
 from imucald.service.running_status import InputRates, run_result, running_status, status_line
 from imucald.service.sockets import Sockets
