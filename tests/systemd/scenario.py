@@ -495,7 +495,7 @@ def corrupted():
         "quality": said["quality"],
         "problems": said["saved_state"]["problems"],
         "aside": aside,
-        "told": "checksum is wrong" in journal(20),
+        "told": "its checksum or its length is wrong" in journal(20),
     }
 
 
