@@ -129,9 +129,9 @@ def test_start_values_are_those_of_the_multiplexer_value_that_stands(database: D
 
 def test_signals_that_exclude_one_another_are_refused(database: Database) -> None:
     message = database.message("STATUS")
-    with pytest.raises(DatabaseError, match="different PAGE values"):
+    with pytest.raises(DatabaseError, match="different values of PAGE"):
         compile_encode(message, ["TEMPERATURE", "SUPPLY"])
-    with pytest.raises(DatabaseError, match="different PAGE values"):
+    with pytest.raises(DatabaseError, match="different values of PAGE"):
         compile_encode(message, ["SUPPLY"], multiplexer={"PAGE": 0})
     with pytest.raises(DatabaseError, match="PAGE is a multiplexer"):
         compile_encode(message, ["PAGE", "SUPPLY"])

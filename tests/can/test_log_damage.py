@@ -183,7 +183,7 @@ def test_strict_reading_stops_at_the_first_of_all_bad_lines(tmp_path: Path) -> N
     path = tmp_path / "a.log"
     # The second bad line is found in an earlier step of the reader than the first.
     path.write_text(f"{GOOD[0]}\n" * 500 + "(1600000000.000000) can0 200#1G\nbad\n")
-    with pytest.raises(LogError, match=r"a\.log:501: the data holds"):
+    with pytest.raises(LogError, match=r"a\.log:501: the data contains"):
         list(LogReader([path], strict=True))
 
 
