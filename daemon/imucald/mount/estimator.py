@@ -336,12 +336,10 @@ class JointEstimator:
         if self._now <= self._taken_until:  # after a move it was among those that count
             return
         target.add(block)
-        try:
-            if target is not self._joint and not self._joint.signals.speed:  # it may stay away
-                self._joint.add(_block(p, self._joint.signals))
-                self._joint.solve_when_due()
-            target.solve_when_due()
-        except np.linalg.LinAlgError:  # the signals contradict one another; `_checks` shows which
+        if target is not self._joint and not self._joint.signals.speed:  # the speed may stay away
+            self._joint.add(_block(p, self._joint.signals))
+            _is_solved(self._joint)
+        if not _is_solved(target):
             self._fits_no_sensor, self._carried.is_sure = True, False
             if target is self._next:
                 self._next = self._filled([])
@@ -743,6 +741,15 @@ class JointEstimator:
         self._checks.take_mount(R)
 
 
+def _is_solved(evidence: Evidence) -> bool:
+    """Solve if it is due. False: the signals contradict one another; `SignalChecks` shows which."""
+    try:
+        evidence.solve_when_due()
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
     """Return level zero y and x as tilts, and the larger of cross-talk xy and yx as a yaw [rad]."""
     return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
@@ -755,8 +762,8 @@ def _block(p: SignalBlock, signals: OtherSignals) -> Block:
     use, speed = p.ok_force & p.learn, p.speed
     if signals.speed:
         use &= p.ok_speed & p.has_speed
-    elif p.has_speed:  # it was not known yet that none comes
-        speed = np.where(p.rest, 0.0, NOMINAL_SPEED)
+    else:  # in the first blocks it was not known yet that none comes
+        speed = p.nominal_speed
     knots = MIDDLES if p.speed_knots is None else p.speed_knots
     if signals.gyro:
         use &= p.had_rate

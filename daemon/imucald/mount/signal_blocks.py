@@ -98,7 +98,13 @@ class SignalBlock(Struct):
     # `gyro_walk`.
     least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
     speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
-    has_speed: bool = True  # False: none has ever come; NOMINAL_SPEED stands for any but rest
+    has_speed: bool = True  # False: none has ever come; `nominal_speed` stands for it
+    direction: float = 1.0  # -1 while the reverse gear is in
+
+    @property
+    def nominal_speed(self) -> Array:
+        """(N,) [m/s] what stands for the speed of a vehicle without one; it shows rest and gear."""
+        return np.where(self.rest, 0.0, self.direction * NOMINAL_SPEED)
 
 
 class MountSoFar(Struct, frozen=True):
@@ -244,9 +250,10 @@ class SignalBlockMaker:
             rate_walk=self._rate_walk,
             least_speed=self._speed.least,
             speed_knots=self._speed_knots(float(t[PART][1])),
+            direction=self._speed.direction,
         )
         if self.without_speed:
-            prepared.speed = np.where(rest, 0.0, self._speed.direction * NOMINAL_SPEED)
+            prepared.speed = prepared.nominal_speed
             prepared.accel = np.zeros(BLOCK_TICKS)
             prepared.ok_speed = prepared.ok_force
             prepared.has_speed = False
