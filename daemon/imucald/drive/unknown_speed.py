@@ -24,6 +24,7 @@ import numpy as np
 
 from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
+from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.ticks import TICK_S
 
 NAMES: Final = (
@@ -46,8 +47,6 @@ AHEAD, ACROSS = 0.01, 0.02
 """Noise of f_x and f_y in a tick [(m/s^2)^2]: the level of `joint.evidence.USUAL_NOISE` with its
 correlation in time (set on seeds 9000 to 9009).
 """
-CARRIED = 1e-6
-"""Growth of the variance of u while a gyroscope carries it [rad^2/s]: 0.06 deg/sqrt(s)."""
 RATE_ZERO, RATE_WALK = 0.001, 1e-9
 """Deviation of the zero of the rate after it was measured at rest [rad/s], and the growth of its
 variance [(rad/s)^2/s], 0.02 deg/s in a minute (assumption: warming up).
@@ -189,15 +188,11 @@ class UnknownSpeed:
         """Follow the states through a tick. given: (5, len(NAMES)) what drives them."""
         F, Q = self._transition, self._growth
         if self._is_carried and is_usable:
-            stays, grows, turned, wrong = 1.0, CARRIED * TICK_S, r * TICK_S, TICK_S
+            stays, grows, turned, wrong = 1.0, VERTICAL_WALK**2 * TICK_S, r * TICK_S, TICK_S
         else:
             share = (abs(v) + STANDING) * TICK_S / self._slope_m
-            stays, grows, turned, wrong = (
-                math.exp(-2.0 * share),
-                4.0 * share * self._slope**2,
-                0.0,
-                0.0,
-            )
+            stays, grows = math.exp(-2.0 * share), 4.0 * share * self._slope**2
+            turned = wrong = 0.0
             given[U_X : U_Y + 1] = 0.0
             given[U_Y, 0] = (1.0 - stays) * self._lean
         F[U_X, U_X] = F[U_Y, U_Y] = stays

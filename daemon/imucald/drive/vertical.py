@@ -22,6 +22,8 @@ FIRST_PULL_S = 3.0
 
 The pull grows with the time for which the vertical has been carried.
 """
+VERTICAL_WALK = 1e-3
+"""Random walk of a vertical that a gyroscope carries [rad/sqrt(s)]: its noise and gain."""
 FIRST_TICKS = 64
 """The first vertical is the mean of the pull over this many ticks."""
 

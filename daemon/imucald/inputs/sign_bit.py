@@ -8,10 +8,8 @@ from collections.abc import Hashable
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.arrays import Array, Index
 from imucald.inputs.source_selector import MAX_SKEW
-
-Rows = NDArray[np.int64]
-Times = NDArray[np.float64]
 
 
 class SignBit:
@@ -26,7 +24,7 @@ class SignBit:
         self.source = source
         self._cycle = 0.0
         self._last = -math.inf, math.nan
-        self._chunk = np.array([self._last[0]]), np.array([self._last[1]]), np.zeros(0, np.int64)
+        self.begin_chunk()
 
     def expect(self, cycle: float | None) -> None:
         """Set the stated cycle of the message [s]."""
@@ -49,7 +47,7 @@ class SignBit:
         """Begin a chunk of columns. Its rows are counted from 0."""
         self._chunk = np.array([self._last[0]]), np.array([self._last[1]]), np.zeros(0, np.int64)
 
-    def see_columns(self, t: Times, row: Rows, bit: NDArray[np.generic]) -> None:
+    def see_columns(self, t: Array, row: Index, bit: NDArray[np.generic]) -> None:
         """Register the bits of all frames (N,) of the message in the chunk, in order."""
         if len(t):
             times, signs, _ = self._chunk
@@ -57,7 +55,7 @@ class SignBit:
             self._chunk = np.concatenate([times, t]), signs, row
             self._last = float(t[-1]), float(signs[-1])
 
-    def at_columns(self, t: Times, row: Rows) -> NDArray[np.float64]:
+    def at_columns(self, t: Array, row: Index) -> Array:
         """Return the signs for frames (N,)."""
         times, signs, rows = self._chunk
         index = np.searchsorted(rows, row, side="right")

@@ -225,7 +225,8 @@ def _yaw_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
     if math.isinf(xy):
         return _first_reason(known)
     if not known.speed and not (known.without_speed and goal.state is MountState.USABLE):
-        return f"a speed ({known.speed_hz:.2g}/s used in the last minute)", Missing.SPEED
+        used = "" if known.without_speed else f" ({known.speed_hz:.2g}/s used in the last minute)"
+        return f"a speed{used}", Missing.SPEED
     far = goal.far(2, known.std[2])
     if xy < yx:
         return _hard() + far, Missing.ACCELERATION

@@ -48,7 +48,7 @@ class SavedState(Struct, frozen=True):
     state: "usable" or "fine". doubted: the mount was suspect when it was saved. saved_at: wall
     clock [s], for people only. driven_s: driving time behind it [s]. offsets: offsets of sensors
     and signals, SI. shifts: history of remounts, newest last. evidence: the evidence behind the
-    estimate, for people. Its keys "sums" and "sensor" hold what the estimator continues from
+    estimate, for people. Its key "sensor" holds what the estimator continues from
     (`mount.joint.known`). held: nothing was learnt. given: a person
     stated the mount. doubt: reason why it was suspect, in words.
     """

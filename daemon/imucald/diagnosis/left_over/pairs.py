@@ -45,12 +45,15 @@ AFTER_STOP_S = 60.0
 MEMORY_S = 20.0
 """Time constant of the memory: between the length of a bend and that of a segment."""
 SPEEDS = ("the speed", "crawling", "the time since standing")
-EITHER_WAY = (
-    "accelerating and braking", *(f"the last acceleration above {n:g} times the rms" for n in LARGE)
-)  # fmt: skip
-TO_ONE_SIDE = (
-    "the direction of turning", *(f"the last turning above {n:g} times the rms" for n in LARGE)
-)  # fmt: skip
+
+
+def _last(what: str, level: float) -> str:
+    """Name of the condition: the direction of the last value above a multiple of the rms."""
+    return f"the last {what} above {level:g} times the rms"
+
+
+EITHER_WAY = ("accelerating and braking", *(_last("acceleration", n) for n in LARGE))
+TO_ONE_SIDE = ("the direction of turning", *(_last("turning", n) for n in LARGE))
 """Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
 STAMPS = "the deviation of its time stamps from a constant cycle"
 PAUSE_S = 10.0
@@ -374,7 +377,7 @@ def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
     last = {n: np.maximum.accumulate(np.where(amount > n, rows, 0)) for n in LARGE}
     return {
         side: np.tanh(z),
-        **{f"the last {what} above {n:g} times the rms": np.sign(z[k]) for n, k in last.items()},
+        **{_last(what, n): np.sign(z[k]) for n, k in last.items()},
         f"the amount of {what}": amount,
         f"the amount of {what} in {MEMORY_S:g} s": _remembered(amount),
     }

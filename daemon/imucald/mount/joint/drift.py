@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.samples import GRAVITY
+from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
 from imucald.mount.joint.state import SLOPE, SLOPE_M
@@ -104,7 +105,7 @@ class Drifts(NamedTuple):
     """
     up: float = 0.05
     """Vertical while there is no gyroscope to integrate it from [rad]."""
-    up_walk: float = 1e-3
+    up_walk: float = VERTICAL_WALK
     """Vertical while it is integrated [rad a root second]: noise and gain of the gyroscope."""
     lost: float = 0.01
     """Growth of the vertical's deviation for each unused tick [rad]."""
