@@ -1,6 +1,7 @@
-"""Handle Ctrl-C so that it never interrupts an import.
+"""Handle Ctrl-C so that it never interrupts an import or `copyreg`.
 
-An import would wrap, print or ignore the exception. SIGTERM and SIGHUP (closed terminal) are
+An import would wrap, print or ignore the exception. `copyreg`, which every `deepcopy` of a frame
+uses, would ignore it. SIGTERM and SIGHUP (closed terminal) are
 handled in the same way. A command that receives one of them cleans up as after Ctrl-C. Then it ends
 with this signal, as the sender expects.
 """
@@ -14,20 +15,24 @@ import signal
 import sys
 from types import FrameType
 
-IMPORTING = "<frozen importlib._bootstrap"
-"""File name of the stack frames that import a module."""
-AFTER_IMPORT_S = 0.02
-"""Time until the next attempt if an import is running [s]."""
+UNSAFE = frozenset({
+    "importlib._bootstrap", "importlib._bootstrap_external",
+    "_frozen_importlib", "_frozen_importlib_external",  # the same, early
+    "copyreg",
+})  # fmt: skip
+"""Modules whose functions would lose the exception."""
+NEXT_ATTEMPT_S = 0.02
+"""Time until the next attempt if one of them is running [s]."""
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Signal handler of the main thread: raise KeyboardInterrupt, after a running import."""
+    """Signal handler of the main thread: raise KeyboardInterrupt, as soon as it is not lost."""
     while frame is not None:
-        if frame.f_code.co_filename.startswith(IMPORTING):
+        if frame.f_globals.get("__name__") in UNSAFE:
             if not hasattr(signal, "setitimer"):  # Windows
                 break
             signal.signal(signal.SIGALRM, interrupt)
-            signal.setitimer(signal.ITIMER_REAL, AFTER_IMPORT_S)
+            signal.setitimer(signal.ITIMER_REAL, NEXT_ATTEMPT_S)
             return
         frame = frame.f_back
     raise KeyboardInterrupt
