@@ -35,9 +35,13 @@ class _Interrupted(type):
 
 def test_a_copy_does_not_lose_it() -> None:
     made = _Interrupted("Made", (), {})
-    with pytest.raises(KeyboardInterrupt):
+
+    def copy() -> None:
         copyreg._slotnames(made)  # type: ignore[attr-defined]
         time.sleep(5.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        copy()
     assert "__slotnames__" in vars(made)
 
 
@@ -47,9 +51,13 @@ def test_an_import_is_finished_first(tmp_path: Path, monkeypatch: pytest.MonkeyP
     )
     (tmp_path / "swallows_all.py").write_text(text + "DONE = True\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(KeyboardInterrupt):
+
+    def load() -> None:
         importlib.import_module("swallows_all")
         time.sleep(5.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        load()
     assert sys.modules.pop("swallows_all").DONE
 
 
