@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import select
 import socket
 import sys
 import time
@@ -373,6 +374,36 @@ def test_a_multicast_group_does_not_hear_another_one_on_its_port() -> None:
         assert here.receive(0.3) == []
         out.sendto(frame, (group, 43113))
         assert len(here.receive(2.0)) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what Linux does with groups of one port")
+def test_a_multicast_group_drops_what_another_one_sent_while_it_was_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    msgpack = pytest.importorskip("msgpack")
+    other, group = f"239.211.20.{os.getpid() % 250}", f"239.74.164.{os.getpid() % 250}"
+    wanted = [IdMatch(0x201, CAN_SFF_MASK)]
+    frame, opened = msgpack.packb(SOUND), can.Bus
+
+    def bus_that_hears_another_group(**arguments: Any) -> can.BusABC:
+        bus = opened(**arguments)
+        out.sendto(frame, (other, 43113))
+        select.select([bus.fileno()], [], [], 2.0)
+        return bus
+
+    try:
+        there = Link("udp_multicast", other, receive=wanted)
+    except LinkError as error:
+        pytest.skip(f"no multicast here: {error}")
+    with there, socket.socket(type=socket.SOCK_DGRAM) as out:
+        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        monkeypatch.setattr(can, "Bus", bus_that_hears_another_group)
+        with Link("udp_multicast", group, receive=wanted) as here:
+            if not there.receive(2.0):
+                pytest.skip("multicast does not come back here")
+            assert here.receive(0.3) == []
+            out.sendto(frame, (group, 43113))
+            assert len(here.receive(2.0)) == 1
 
 
 def test_a_descriptor_is_none_whatever_a_driver_that_has_gone_raises(

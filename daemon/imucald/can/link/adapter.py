@@ -15,6 +15,7 @@ our own frames would look like frames of another node and raise an alarm.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import math
 import os
@@ -92,6 +93,9 @@ MAX_STAMP = 2**53 / 1e6
 MULTICAST = "udp_multicast"
 IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
 """Constants of linux/in.h and linux/in6.h that Python does not define."""
+MOST_WAITING = 10_000
+"""More datagrams than a socket's receive buffer holds at its start (208 KiB, 256 B each at least).
+"""
 
 ECHOING = (MULTICAST,)
 """Interfaces of python-can that return our own frames without a mark."""
@@ -264,12 +268,15 @@ class Adapter:
 
 def _hear_own_group_only(descriptor: int) -> None:
     """Receive only datagrams of our own group. By default, Linux delivers the datagrams of all
-    joined groups to every socket of a port."""
+    joined groups to every socket of a port. Datagrams that came before are dropped."""
     with socket.socket(fileno=os.dup(descriptor)) as same:
         if same.family == socket.AF_INET6:
             same.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
         else:
             same.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(MOST_WAITING):
+                same.recv(1, socket.MSG_DONTWAIT)
 
 
 def _filter(match: IdMatch) -> Any:
