@@ -174,6 +174,24 @@ def test_a_planted_mistake_is_named_and_nothing_else(frames: Frames, mistake: st
     assert report["usable"] is (mistake in WARNINGS)
 
 
+def test_a_wrong_sign_bit_of_the_speed_is_named_and_no_key_that_is_not_there(
+    frames: Frames,
+) -> None:
+    def change(text: str) -> str:
+        text = replacing("  reverse: {signal: TCU_Gear.GearPosition, equals: 1}\n", "")(text)
+        signs = "sign_signal: ESC_Brake.BrakePressed, sign: -1"
+        return replacing("ESC_Speed.VehicleSpeed", SIGNAL.format("ESC_Speed.VehicleSpeed", signs))(
+            text
+        )
+
+    report = checked(frames, change)
+    found = findings(report, "error")
+    assert set(found) == {"speed"}
+    assert "is negative for" in found["speed"]
+    assert "of the time above 25 km/h: check 'sign_signal:' and 'sign:'" in found["speed"]
+    assert "reverse" not in findings(report, "error", "warning", "note", "ok")
+
+
 def test_a_wrong_unit_of_the_accelerometer_is_an_error(frames: Frames) -> None:
     def change(text: str) -> str:
         for axis in "XYZ":
@@ -778,6 +796,16 @@ def test_a_narrow_table_keeps_the_names_of_quantities_and_breaks_sources_at_thei
     assert lines[at].split()[1] == "IMU_Accel."
     assert lines[at + 1].split()[0] == "AccelX"
     assert not any(". =" in x for x in lines)
+
+
+def test_rejected_samples_stand_apart_from_the_name_of_their_signal(
+    frames: Frames, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    planted = SIGNAL.format("ESC_Dynamics.YawRate", "range: [-5, 5]")
+    print_report(checked(frames, replacing(": ESC_Dynamics.YawRate", f": {planted}")))
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("yaw_rate "))
+    assert re.search(r"ESC_Dynamics\.YawRate \(out_of_range \d+ rejected\) ", line)
 
 
 def test_frames_that_were_not_used_are_counted(

@@ -96,7 +96,7 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
     new_line = "\n" if stacked else " "
     for row in rows:
         rank = f" ({row['preference'] + 1}.)" if row["preference"] else ""
-        rejected = f"{new_line}-{_reasons(row['rejected'])}" if row["rejected"] else ""
+        rejected = f"{new_line}({_reasons(row['rejected'])} rejected)" if row["rejected"] else ""
         in_unit, in_si = row["in_unit"], row["in_si"]
         same = row["unit"] == row["si_unit"] or row["factor"] == 1.0 or not row["si_unit"]
         ends = ("max", "min") if row["factor"] < 0 else ("min", "max")  # of the same sample

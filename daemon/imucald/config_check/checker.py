@@ -36,6 +36,7 @@ from imucald.config_check.source import (
     message_row,
     never_negative,
     quantity_row,
+    signs_of_speed,
     sources,
     turned_quantities,
 )
@@ -177,6 +178,7 @@ class Check:
             self._means.paces(),
             self._announced,
             drives=motion.drives,
+            is_reverse_derived=self._is_reverse_derived,
         )
         model = self.compensation
         notes = () if model is None else model.notes_for(self.router.channels)
@@ -197,12 +199,18 @@ class Check:
                 unit_advice(rows),
                 turned_quantities(rows),
                 never_negative(rows),
+                signs_of_speed(rows) if self._is_reverse_derived else "",
             ),
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
         found += left_out_finding(self._health.left_out, self.duration)
         return [*found, *not_judged(rows, found)]
+
+    @property
+    def _is_reverse_derived(self) -> bool:
+        """True if the sign of the speed stands for a reverse signal."""
+        return self.loaded.config.signals.reverse is None and "reverse" in self.router.channels
 
     def report(self) -> dict[str, Any]:
         """Return the complete report, in the form of docs/json.md."""

@@ -98,6 +98,8 @@ class Decoding:
     """Length [bytes] of each message announced by J1939 transport frames, by (channel, id)."""
     drives: bool = False
     """True if the vehicle drives for at least a minute. In this time, every sensor axis changes."""
+    is_reverse_derived: bool = False
+    """True if the sign of the speed stands for a reverse signal."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield all findings, in no particular order."""
@@ -313,7 +315,7 @@ class Decoding:
             yield self._without_gyro()
         elif not self._has("yaw_rate"):
             yield Finding("note", "yaw_rate", "missing: turns are taken from the gyroscope")
-        if self._has("speed") and not self._has("reverse"):
+        if self._has("speed") and not self._has("reverse") and not self.is_reverse_derived:
             yield Finding("note", "reverse", _NO_REVERSE)
         if config.vehicle.driving_side == "unknown" and config.signals.accelerometer[0].z:
             yield Finding("note", "vehicle.driving_side", _NO_SIDE)

@@ -87,6 +87,7 @@ def judge(
     unit_advice: Mapping[str, str] = MappingProxyType({}),
     turned: Mapping[str, bool] = MappingProxyType({}),
     never_negative: Mapping[str, str] = MappingProxyType({}),
+    signs_of_speed: str = "",
 ) -> Iterator[Finding]:
     """Yield all findings that the motion shows about units, signs and axes.
 
@@ -95,13 +96,14 @@ def judge(
     stated: the orientation of the sensor that the user states. unit_advice: advice for quantities
     with a stated unit (see `unit_advice`). turned: by quantity, whether the configuration reverses
     the signs of all its axes. never_negative: by quantity that was never negative, the signals that
-    may hold its sign.
+    may hold its sign. signs_of_speed: the keys that set the sign of the speed, if this sign stands
+    for a reverse signal; else "".
     """
     if (move := sensor_move(motion)) is not None:
         text = f"{move.words}. Check a log without the move: this log contains two mounts"
         yield Finding("warning", "accelerometer", text)
         yield from _speed_against_wheels(motion, unit_advice.get("speed"))
-        yield from _reverse(motion)
+        yield from _reverse(motion, signs_of_speed)
         return
     yield from _at_rest(motion, unit_advice.get("accelerometer"))
     yield from _constant_speed(motion)
@@ -109,7 +111,7 @@ def judge(
     if motion.up is not None and not motion.planar:
         of_up += _stated_axis(stated.up, "up", motion.up, "down", UP_REMEDY)
     yield from of_up
-    backwards = list(_reverse(motion))
+    backwards = list(_reverse(motion, signs_of_speed))
     yield from backwards
     if any(finding.level != "ok" for finding in backwards):
         motion = motion.without("reverse")
@@ -403,21 +405,21 @@ def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
             yield Finding("ok", name, f"follows the change of speed (gain {gain:.2f})")
 
 
-def _reverse(motion: Motion) -> Iterator[Finding]:
+def _reverse(motion: Motion, signs_of_speed: str) -> Iterator[Finding]:
     if motion.speed is None or "reverse" not in motion.grid:
         return
     fast = np.nan_to_num(np.abs(motion.speed)) > REVERSE_SPEED
     reverse = motion.grid["reverse"][fast]
     share = float(np.mean(reverse > 0.5)) if len(reverse) >= MIN_TICKS else 0.0
     fastest = f"{3.6 * REVERSE_SPEED:.0f} km/h"
+    name, is_on = ("speed", "is negative") if signs_of_speed else ("reverse", "is on")
     if share > REVERSE_SHARE:
-        text = (
-            f"is on for {100 * share:.0f} % of the time above {fastest}: check 'equals:' and "
-            "'above:'"
-        )
-        yield Finding("error" if share > 0.5 else "warning", "reverse", text)
+        keys = signs_of_speed or "'equals:' and 'above:'"
+        text = f"{is_on} for {100 * share:.0f} % of the time above {fastest}: check {keys}"
+        yield Finding("error" if share > 0.5 else "warning", name, text)
     elif len(reverse) >= MIN_TICKS and np.nanmax(motion.grid["reverse"]) > 0.5:
-        yield Finding("ok", "reverse", f"is off above {fastest}")  # and sometimes on
+        is_off = "is positive" if signs_of_speed else "is off"
+        yield Finding("ok", name, f"{is_off} above {fastest}")  # and sometimes in reverse
 
 
 def _brake(motion: Motion) -> Iterator[Finding]:

@@ -104,6 +104,12 @@ def turned_quantities(sources: Iterable[QuantitySource]) -> dict[str, bool]:
     return turned
 
 
+def signs_of_speed(sources: Iterable[QuantitySource]) -> str:
+    """Return the keys that set the sign of the first speed, in words."""
+    speed = next(s.wanted for s in sources if s.wanted.channel == "speed" and not s.wanted.rank)
+    return ("'sign_signal:' and " if speed.source.sign_signal else "") + "'sign:'"
+
+
 def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
     """Return the JSON data of a message."""
     return {
