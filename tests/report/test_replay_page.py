@@ -189,6 +189,7 @@ def test_a_log_without_a_usable_drive_has_a_page_too(tmp_path):
     words = " ".join(Page((folder / "index.html").read_text()).texts)
     assert "Nothing is known yet" in words
     assert "never usable" in words
+    assert "Waiting for roll, pitch, yaw: the first 6 s of samples." in words
     assert not math.isnan(len(words))
 
 

@@ -19,10 +19,11 @@ from imucald.mount.mount_words import (
     angle_cells,
     angles_line,
     half_width,
+    is_trouble,
     judged_std,
     left_out_words,
     plus_minus,
-    reasons_line,
+    reasons,
     sent_words,
 )
 from imucald.report.drawing import STYLE, view_drawings
@@ -65,6 +66,7 @@ def replay_page(
     last = history.moments[-1].estimate if history.moments else None
     rows = np.isfinite(motion.corrected[:, 0])
     axes = (0, 1) if rows.any() else ()
+    missing = list(reasons(result["waiting_for"]))
     evidence = {a: draw.evidence_picture(history, a) for a in ANGLES}
     return (
         environment()
@@ -78,7 +80,8 @@ def replay_page(
             moves=[(clock(e.event.t), e.event.text) for e in events if e.event.kind == "moved"],
             lead=duration(history.lead) if history.lead >= SNAPSHOT_S else "",
             meaning=STATE_WORDS.get(result["state"], ""),
-            waiting=reasons_line(result["waiting_for"]),
+            waiting=[(names, text) for names, text in missing if not is_trouble(text)],
+            troubles=[text for _, text in missing if is_trouble(text)],
             causes=causes,
             left_out=left_out_words(result["details"]),
             drawing_style=STYLE,
