@@ -31,7 +31,13 @@ ROLL = FoundCause(
         "suspension.roll_gradient": Estimated(0.01712345678, 0.00031, "rad/(m/s^2)", 0.008, 0.0025)
     },
     signals=("accel_y", "gyro_x"),
-    evidence={"held_out_nats": 812.4, "sigma": 29.4, "quantile": 3.9},
+    evidence={
+        "held_out_nats": 812.4,
+        "sigma": 29.4,
+        "quantile": 3.9,
+        "beyond_tolerance": 21.3,
+        "threshold": 3.9,
+    },
     text="Body roll in bends differs from the model file's.",
     against=("it predicts worse in 40 % of the segments",),
 )
@@ -42,7 +48,13 @@ BIAS = FoundCause(
         for axis, value in zip("xyz", (0.004, 0.2471, -0.002), strict=True)
     },
     signals=("accel_y",),
-    evidence={"held_out_nats": 41.0, "sigma": 22.0, "quantile": 3.9},
+    evidence={
+        "held_out_nats": 41.0,
+        "sigma": 22.0,
+        "quantile": 3.9,
+        "beyond_tolerance": 15.8,
+        "threshold": 3.9,
+    },
     text="The accelerometer reads a constant too much.",
 )
 

@@ -52,6 +52,9 @@ def test_a_large_effect_is_named(cause, form):
     d = diagnosed(cause, "large", form)
     assert d.verdict in {"found", "ambiguous"}
     assert cause in names(d)
+    for one in d.causes:
+        if "threshold" in one.evidence:
+            assert one.evidence["beyond_tolerance"] > one.evidence["threshold"], one.name
 
 
 def test_the_value_that_is_reported_is_the_one_that_was_hidden():

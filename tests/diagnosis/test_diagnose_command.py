@@ -84,6 +84,14 @@ def test_the_summary_says_what_was_found_in_words(asked, diagnosed, log):
     assert "note: no temperature signal" in out
 
 
+def test_changes_are_those_of_a_model_file_only_where_there_is_one(asked, diagnosed, log, tmp_path):
+    _, out, _ = diagnosed(log)
+    assert "estimated for this diagnosis, suspension.roll_gradient: 0.008 -> 0.0171235" in out
+    assert "model file, suspension" not in out
+    _, out, _ = diagnosed(log, "--write-model", tmp_path / "extended.yaml")
+    assert "model file, suspension.roll_gradient: 0.008 -> 0.0171235" in out
+
+
 def test_a_time_limit_is_handed_on(asked, diagnosed, log):
     assert diagnosed(log, "--time-limit", "7.5")[0] == 0
     assert asked["limit_s"] == 7.5

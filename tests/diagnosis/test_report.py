@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import cache
 from math import radians
+from types import SimpleNamespace
 
 import made_diagnosis as made
 import numpy as np
@@ -18,6 +19,7 @@ import pytest
 
 from html_page import NAME_SPACES, Page
 from imucald.core.errors import ImucaldError
+from imucald.diagnosis.gain import gain_of
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
@@ -31,7 +33,7 @@ from imucald.diagnosis.result import (
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
-from imucald.report.model_changes import as_diff, model_changes, value_text
+from imucald.report.model_changes import as_diff, model_changes, shown_changes, value_text
 from imucald.report.page import About, report_page, require_libraries
 
 ABOUT = About(["a.log", "b.log"], "car.yaml", "car_model.yaml", "2026-01-02 03:04, imucald 9")
@@ -63,7 +65,7 @@ def test_causes_come_with_values_intervals_and_evidence(found):
     assert "9.62 ± 0.35 deg/g" in text  # 0.01712 rad/(m/s^2) * 57.296 * 9.80665
     assert "4.50 deg/g" in text, "what the file said"
     assert "25.2 ± 2.2 mg" in text
-    assert "29 σ from the model file" in text
+    assert "21 σ beyond the tolerance" in text
     assert "What speaks against it it predicts worse in 40 % of the segments" in text
     assert "a.log, b.log (30 min)" in text
     assert "no temperature signal" in text
@@ -404,6 +406,25 @@ def test_a_gain_that_is_not_known_is_reported_so():
     assert words.gain(Gain(math.nan, (math.nan, math.nan))).startswith("not known")
 
 
+def test_the_evidence_has_the_distance_that_the_threshold_is_for():
+    assert words.evidence(made.ROLL) == (
+        "21 σ beyond the tolerance of a correct model file, threshold 3.9 σ"
+    )
+    read = replace(made.ROLL, evidence={"held_out_nats": 12.0})
+    assert words.evidence(read) == ""
+
+
+def test_a_fitted_cause_is_not_called_read_directly():
+    """Parameters that move along a direction, as one gain for all axes, are not in `free`."""
+    table = SimpleNamespace(blocks=8, gram=np.zeros((8, 1, 1)), keys=(), plain={}, index=list)
+    forward = SimpleNamespace(blocks=8, usable=dict, residuals=lambda _: SimpleNamespace(of={}))
+    asked = (table, SimpleNamespace(table=table), table, (), [forward])
+    fitted, _ = gain_of(*asked, np.full(8, 5.0))
+    assert fitted.was_fitted
+    assert fitted.held_out_log_likelihood == pytest.approx(40.0)
+    assert not gain_of(*asked)[0].was_fitted
+
+
 # the model's changes ---------------------------------------------------------------------------
 
 
@@ -414,6 +435,20 @@ def test_changes_are_those_of_the_keys_that_differ():
         ("accel.bias", [0.0, 0.0, 0.0], [0.0, 0.2471, 0.0]),
     ]
     assert model_changes(made.AFTER, made.AFTER) == []
+
+
+def test_a_rounding_error_is_no_change():
+    near = made.BEFORE.with_changes({"accel.bias": [1.78e-22, 0.0, 0.0]})
+    assert near != made.BEFORE
+    assert model_changes(made.BEFORE, near) == []
+
+
+def test_delays_of_signals_that_the_drives_lack_are_not_shown():
+    later = made.BEFORE.with_changes({"speed.delay_s": 0.2, "steering.delay_s": 0.2})
+    shown = made.found(model_after=later, channels=frozenset({"accel", "speed"}))
+    assert [change.key for change in shown_changes(shown)] == ["speed.delay_s"]
+    every = shown_changes(made.found(model_after=later))
+    assert [change.key for change in every] == ["speed.delay_s", "steering.delay_s"]
 
 
 def test_a_diff_opens_each_section_once():

@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
     if STANDARD not in (options.json, options.write_model) and not options.quiet:
         from imucald.commands.diagnose_view import print_diagnosis
 
-        print_diagnosis(found.diagnosis)
+        print_diagnosis(found.diagnosis, has_file=bool(options.model or options.write_model))
         for file in filter(None, files):
             print(f"written: {file}")
     return 0

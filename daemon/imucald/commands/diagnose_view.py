@@ -11,7 +11,7 @@ from imucald.commands.terminal import plain_console, plain_where_needed, screen_
 from imucald.core.text import counted
 from imucald.report import numbers, titles
 from imucald.report import wording as words
-from imucald.report.model_changes import model_changes, value_text
+from imucald.report.model_changes import shown_changes, value_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,8 +47,10 @@ def _nothing(share: float, doing: str) -> None:
     """Show nothing, because the output is not a terminal."""
 
 
-def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print verdict, causes, their effects, and the remaining errors."""
+def print_diagnosis(diagnosis: Diagnosis, has_file: bool = True) -> None:
+    """Print verdict, causes, their effects, and the remaining errors. has_file: a model file was
+    read or written, so values of the model are values of this file.
+    """
     from rich.text import Text
 
     plain_where_needed()
@@ -64,9 +66,10 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
-    for change in model_changes(diagnosis.model_before, diagnosis.model_after):
+    where = "model file" if has_file else "estimated for this diagnosis"
+    for change in shown_changes(diagnosis):
         before, after = value_text(change.before), value_text(change.after)
-        console.print(f"model file, {change.key}: {before} -> {after}")
+        console.print(f"{where}, {change.key}: {before} -> {after}")
     if diagnosis.causes:
         console.print(f"gain on held-out data: {words.gain(diagnosis.gain)}")
     _print_candidates(console, diagnosis)

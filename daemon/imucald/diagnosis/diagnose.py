@@ -156,7 +156,8 @@ def diagnose(
         written = CHANGES.written(with_levels(written, parts), changes_of(parts, state.model))
         written = follows(parts, written).written(written, traits_of(parts))
     whole = state.whole or problem.table
-    gain, signals = gain_of(before, problem, whole, state.free, state.forwards)
+    clearest = max((t.gain for t in state.named), key=np.sum, default=None)
+    gain, signals = gain_of(before, problem, whole, state.free, state.forwards, clearest)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
     sets = outcome.look_alikes(state)
@@ -190,6 +191,7 @@ def diagnose(
         model_after=written,
         recommended=_is_recommended(causes, gain, left, changes),
         complete=not late.was,
+        channels=frozenset(name for drive in parts for name in drive.channels),
     )
 
 

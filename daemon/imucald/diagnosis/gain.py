@@ -43,10 +43,16 @@ def _fold_losses(table: Table, x: Array) -> Array:
 
 
 def gain_of(
-    before: Table, after: Problem, whole: Table, free: Sequence[str], forwards: Sequence[Forward]
+    before: Table,
+    after: Problem,
+    whole: Table,
+    free: Sequence[str],
+    forwards: Sequence[Forward],
+    held_out: Array | None = None,
 ) -> tuple[Gain, dict[str, SignalGain]]:
     """Compare the stated model file with the written one. before, after: tables with these models.
-    whole: `after` with the equations that no fit uses."""
+    whole: `after` with the equations that no fit uses. held_out: (B,) nats of causes that are not
+    in `free`, by fits that did not use the block; None without such causes."""
     table = after.table
     x = found_by_fold(after, free)
     signals, worse = {}, []
@@ -62,9 +68,11 @@ def gain_of(
         signals[name] = one
         if _is_worse(before, table, name, x):
             worse.append(name)
-    same = before.blocks == table.blocks
-    if not same or not free:
-        return Gain(0.0, (0.0, 0.0), tuple(worse if free else ()), bool(free)), signals
+    was_fitted = bool(free) or held_out is not None
+    if not free and held_out is not None:
+        return summed(held_out, worse), signals
+    if not free or before.blocks != table.blocks:
+        return Gain(0.0, (0.0, 0.0), tuple(worse if was_fitted else ()), was_fitted), signals
     d = _weighted_losses(before, table) - _fold_losses(table, x)
     return summed(d, worse), signals
 

@@ -74,7 +74,9 @@ def cause_of_trial(
         parameters = dict(_as_low_pass(state.stated, k, p) for k, p in parameters.items())
     return FoundCause(
         h.name, parameters, signals_of(state.table, h.keys),
-        {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile},
+        {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile,
+         "beyond_tolerance": trial.estimate.pull,
+         "threshold": trial.estimate.quantile if certainty == "certain" else trial.single},
         BY_NAME[h.name].sentence,
         certainty,
         tuple(_against(state, trial)),
@@ -203,9 +205,11 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     }  # fmt: skip
     few = ("the drives have only one or two stops",) if rest.stops < 3 else ()
     sigma = float(np.max(np.abs(rest.rate) / rest.se))
+    beyond = float(np.max((np.abs(rest.rate) - rest.allowed(model)) / rest.se))
     return FoundCause(
         "gyro_bias", parameters, ("gyro_x", "gyro_y", "gyro_z"),
-        {"held_out_nats": min(0.5 * sigma**2, 1e6), "sigma": sigma, "quantile": rest.quantile},
+        {"held_out_nats": min(0.5 * sigma**2, 1e6), "sigma": sigma, "quantile": rest.quantile,
+         "beyond_tolerance": beyond, "threshold": rest.quantile},
         f"The zero of the gyroscope is off, measured in {counted(rest.stops, 'stop')}.",
         "certain", few,
     )  # fmt: skip
@@ -229,7 +233,8 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     sigma = float(np.max(np.abs(shift.turn) / shift.se))
     return FoundCause(
         name, parameters, signals_of(table, KEYS),
-        {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile}, text,
+        {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile,
+         "beyond_tolerance": shift.beyond_tolerance, "threshold": shift.threshold}, text,
         "certain", ("the parts before and after the turn would be two drives, so nothing else was "
                     "examined",),
     )  # fmt: skip

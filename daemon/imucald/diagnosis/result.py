@@ -230,6 +230,8 @@ class Diagnosis:
     """True: the extended model predicts held-out data better, and no signal worse."""
     complete: bool = True
     """False if the time limit ended the search."""
+    channels: frozenset[str] | None = None
+    """The signals of the drives; None: not known."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the output for tools: plain numbers, lists and texts, without infinite values."""

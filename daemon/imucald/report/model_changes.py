@@ -6,8 +6,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel
 
+SAME = 1e-12
+"""Numbers that differ by less are the same: the difference is a rounding error."""
 SHOWN_ITEMS = 8
 """For longer lists (drop-outs) only the length is shown; the full text contains them."""
 
@@ -30,8 +33,30 @@ def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
     return [
         Change(key, old.get(key), new.get(key))
         for key in dict.fromkeys((*old, *new))
-        if old.get(key) != new.get(key)
+        if not _is_same(old.get(key), new.get(key))
     ]
+
+
+def shown_changes(diagnosis: Diagnosis) -> list[Change]:
+    """Return the changes without the delays of signals that the drives do not have. If one delay
+    would become negative, the file increases the delays of all signals.
+    """
+    present = diagnosis.channels
+    return [
+        change
+        for change in model_changes(diagnosis.model_before, diagnosis.model_after)
+        if present is None
+        or not change.key.endswith(".delay_s")
+        or change.key.partition(".")[0] in present
+    ]
+
+
+def _is_same(before: Any, after: Any) -> bool:
+    if isinstance(before, float) and isinstance(after, float):
+        return abs(before - after) < SAME or before == after
+    if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
+        return all(map(_is_same, before, after))
+    return bool(before == after)
 
 
 def _flat(data: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:

@@ -17,7 +17,7 @@ from imucald.diagnosis.result import Diagnosis, SignalPicture
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.contents import with_contents
-from imucald.report.model_changes import as_diff, model_changes
+from imucald.report.model_changes import as_diff, shown_changes
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -55,7 +55,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
     """Return the page as HTML text. Raises ImucaldError if a library is missing."""
     require_libraries()
     template = environment().get_template("diagnosis.html")
-    changes = model_changes(diagnosis.model_before, diagnosis.model_after)
+    changes = shown_changes(diagnosis)
     verdict = words.verdict(diagnosis)
     return template.render(
         d=diagnosis,

@@ -276,15 +276,12 @@ def _left(diagnosis: Diagnosis) -> str:
 
 
 def evidence(cause: FoundCause) -> str:
-    """Return the evidence for a cause in one line."""
+    """Return the evidence for a cause in one line; "" for direct evidence."""
     known = cause.evidence
-    parts = []
-    if "sigma" in known:
-        parts.append(f"{number(known['sigma'], 2)} σ from the model file")
-        if "quantile" in known:
-            least = number(known["quantile"], 2)
-            parts.append(f"threshold {least} σ beyond the tolerance of a correct file")
-    return ", ".join(parts)
+    if "beyond_tolerance" not in known:
+        return ""
+    beyond, least = (number(known[name], 2) for name in ("beyond_tolerance", "threshold"))
+    return f"{beyond} σ beyond the tolerance of a correct model file, threshold {least} σ"
 
 
 def parameter_rows(cause: FoundCause) -> list[ParameterRow]:

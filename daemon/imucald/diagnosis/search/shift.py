@@ -51,8 +51,17 @@ class FittedShift:
     @property
     def named(self) -> bool:
         """True if the shift exceeds chance, including the search over times."""
-        beyond = np.abs(self.turn) > LEAST_TURN + SEARCH * self.quantile * self.se
-        return bool(np.any(beyond) and self.shown > LEAST_NATS)
+        return self.beyond_tolerance > self.threshold and self.shown > LEAST_NATS
+
+    @property
+    def beyond_tolerance(self) -> float:
+        """Largest distance of an angle beyond `LEAST_TURN`, in standard deviations."""
+        return float(np.max((np.abs(self.turn) - LEAST_TURN) / self.se))
+
+    @property
+    def threshold(self) -> float:
+        """The distance that a shift must exceed, in standard deviations."""
+        return SEARCH * self.quantile
 
 
 def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
