@@ -412,6 +412,16 @@ def test_a_service_whose_program_systemd_hides_is_refused_before_anything_is_wri
     assert (tmp_path / "image").exists()
 
 
+def test_the_next_steps_of_an_installation_load_every_file_that_it_wrote(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    order = ["install-service", "--exec", "/usr/bin/imucald", "--root", str(tmp_path)]
+    assert cli.main(order) == 0
+    said = capsys.readouterr().out
+    for step in ("sysctl --system", "udevadm control --reload", "systemctl daemon-reload"):
+        assert step in said
+
+
 @pytest.mark.parametrize("command", [" ", "a 'b"])
 def test_a_service_whose_command_is_none_is_refused(
     command: str, capsys: pytest.CaptureFixture[str]

@@ -79,7 +79,9 @@ def run(options: argparse.Namespace) -> int:
                 text = text.replace(f"{place_before}{_PACKAGED} ", f"{place_before}{command} ")
         _write(base / place, text)
     print("next: put the configuration in /etc/imucald/can0.yaml, its databases next to it, then")
+    print("  sysctl --system && udevadm control --reload")
     print("  systemctl daemon-reload && systemctl enable --now imucald@can0")
+    print("the send queue is set when an interface is added: restart, or load its driver again")
     return 0
 
 
