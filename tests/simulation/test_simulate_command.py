@@ -84,6 +84,7 @@ def test_parameters_can_be_set(tmp_path):
         (("--shift", "-1,2,3,4"), "t_s"),
         (("--set", "road"), "KEY=VALUE"),
         (("--set", "road.crown=1"), "road.crown"),
+        (("--set", "gyro.scale=0.03"), "a list of 3 numbers, such as [0.03,0.03,0.03]; got 0.03"),
         (("--minutes", "0"), "minutes"),
         (("--minutes", "nan"), "minutes"),
         (("--model", "nothing.yaml"), "nothing.yaml"),

@@ -220,6 +220,10 @@ def _unknown(key: str, allowed: list[str]) -> str:
 
 def _reason(value: Any, kind: Any, text: str) -> str:
     choices = _choices(kind)
+    count = _numbers(kind)
+    if count > 2 and isinstance(value, int | float) and not isinstance(value, bool):
+        such = ",".join([str(value)] * count)
+        return f"must be a list of {count} numbers, such as [{such}]; got {value}"
     if choices and not isinstance(value, list | dict):
         reason = "must be one of " + ", ".join(map(repr, choices))
     else:
@@ -227,6 +231,13 @@ def _reason(value: Any, kind: Any, text: str) -> str:
     is_plain = isinstance(value, str | int | float | bool) or value is None
     remedy = "; remove the quotes" if isinstance(value, str) and _is_number(value, text) else ""
     return f"{reason} (here: {value!r}){remedy}" if is_plain else reason
+
+
+def _numbers(kind: Any) -> int:
+    """Return how many numbers a list must have; 0 if the kind is no such list."""
+    parts = get_args(kind)
+    is_list = get_origin(kind) is tuple and all(_bare(part) is float for part in parts)
+    return len(parts) if is_list else 0
 
 
 def _is_number(value: str, text: str) -> bool:
