@@ -58,6 +58,9 @@ def test_drives_that_overlap_have_no_order_and_so_no_move_between_them(tmp_path)
     found = imucald.replay(imucald.Config.load(first), names, signals=False)
     assert sum("begins" in note for note in found.notes) == 2
     assert not any("moved" in note for note in found.notes)
+    said = "were not compared, because drives that overlap have no order"
+    assert [note.endswith(said) for note in found.notes] == [False, False, True, True]
+    assert f"the mounts of {names[0]} and {names[1]} {said}" in found.notes
 
 
 def test_a_move_within_a_drive_is_none_between_it_and_the_one_before(tmp_path, monkeypatch):

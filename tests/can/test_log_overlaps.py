@@ -42,6 +42,15 @@ def test_of_three_pieces_each_is_held_against_the_one_that_ends_last(tmp_path: P
     assert shared.startswith(f"{third} begins 2.0 s before {first} ends")
 
 
+def test_two_logs_of_one_length_overlap_completely_though_they_begin_with_other_frames(
+    tmp_path: Path,
+) -> None:
+    first = recorded(tmp_path / "1.log", TODAY, 60.0)
+    second = recorded(tmp_path / "2.log", TODAY + 0.03, 60.0)
+    (text,) = overlaps(first, second)
+    assert text.startswith(f"{second} and {first} overlap completely in time")
+
+
 def test_pieces_that_follow_one_another_share_nothing(tmp_path: Path) -> None:
     first = recorded(tmp_path / "1.log", TODAY, 60.0)
     assert overlaps(first, recorded(tmp_path / "2.log", TODAY + 60.0, 60.0)) == []

@@ -60,8 +60,8 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
     """Report mounts that differ between consecutive good drives more than chance and load explain.
 
     If a drive itself found a move, only that move is reported. No second move is then reported
-    between this drive and the previous one. Drives that overlap in time have no order, so no move
-    between them is reported.
+    between this drive and the previous one. Drives that overlap in time have no order, so their
+    mounts are not compared.
     """
     before: DriveResult | None = None
     is_moved = False
@@ -71,7 +71,13 @@ def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
             yield f"the mount was moved within {_name(drive)}, found at {clock(shift['t'])}"
         if drive.state not in GOOD_NAMES or drive.mount is None:
             continue
-        if before is not None and before.mount is not None and not is_moved | _share(before, drive):
+        is_shared = before is not None and _share(before, drive)
+        if before is not None and is_shared and not _is_same(before, drive):
+            yield (
+                f"the mounts of {_name(before)} and {_name(drive)} were not compared, because "
+                "drives that overlap have no order"
+            )
+        if before is not None and before.mount is not None and not is_moved | is_shared:
             one, other = before.mount, drive.mount
             e = vector_from_rotation(other.matrix @ one.matrix.T) * DEG_PER_RAD
             between = 2.0 * np.diag(np.square(BETWEEN_DRIVES_STD)) * DEG_PER_RAD**2

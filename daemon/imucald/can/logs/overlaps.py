@@ -12,12 +12,16 @@ from imucald.can.logs.text_blocks import OpenLog
 CLOCK_SET_S: Final = 946_684_800.0
 """The year 2000 [s]. A log that begins earlier has no time of day; it counts from its start."""
 
+COMPLETE: Final = 0.99
+"""Part of the shorter log from which an overlap is called complete: two logs of one length seldom
+begin with the same frame."""
+
 Log = Path | str | OpenLog
 
 
 def overlap_words(later: object, earlier: object, seconds: float, shorter_s: float) -> str:
     """Return the text for two logs that overlap; shorter_s: length of the shorter one."""
-    if seconds >= shorter_s:
+    if seconds >= COMPLETE * shorter_s:
         return f"{later} and {earlier} overlap completely in time; are their clocks right?"
     return f"{later} begins {seconds:.1f} s before {earlier} ends"
 
