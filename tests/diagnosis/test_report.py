@@ -24,6 +24,7 @@ from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
     TOO_MUCH,
+    WANDERS,
     Candidate,
     Estimated,
     Gain,
@@ -412,6 +413,15 @@ def test_the_evidence_has_the_distance_that_the_threshold_is_for():
     )
     read = replace(made.ROLL, evidence={"held_out_nats": 12.0})
     assert words.evidence(read) == ""
+
+
+def test_a_row_of_one_signal_that_fits_an_error_of_another_says_so():
+    other = Structure("accel_x", WANDERS, 2.0, "gyro.bias.y changes by 0.043 deg/s", "gyro.bias.y")
+    text = words.structure_text(other)
+    assert text.startswith("the residual fits an error of another signal: gyroscope zero")
+    assert text.endswith("changes by 0.043 deg/s")
+    own = replace(other, signal="gyro_y")
+    assert words.structure_text(own) == text.partition(": ")[2]
 
 
 def test_a_fitted_cause_is_not_called_read_directly():

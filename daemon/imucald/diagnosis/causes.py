@@ -83,10 +83,10 @@ _DELAY = "one cycle of 50 Hz and one cycle of a task: 30 ms"
 _TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
 
 _ROWS: tuple[Parameter, ...] = (
-    *_axes("accel.bias", "m/s^2", 0.06, f"0.4 mg/K over 10 K, and 0.2 % of one g from axes that"
+    *_axes("accel.bias", "m/s^2", 0.06, f"0.4 mg/K times 10 K, plus 0.2 % of 1 g for axes that"
            f" are not orthogonal, {MEMS}", 1.0, ("accel",), "xy"),
-    *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K over 10 K, and 0.5 % of one g from the gain,"
-           f" {MEMS}", 1.0, ("accel",), "z"),
+    *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K times 10 K, plus 0.5 % of 1 g for the error"
+           f" of the gain, {MEMS}", 1.0, ("accel",), "z"),
     # Sensitivity varies by 10 % (ADXL335: 270 to 330 mV/g) and is proportional to the supply
     # voltage, which varies by 5 %.
     *_axes("accel.scale", "1", 0.01, f"sensitivity after calibration, {MEMS}", 0.15, _IMU, "012"),

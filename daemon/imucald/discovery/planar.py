@@ -23,6 +23,7 @@ from imucald.discovery.reference import (
 from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
+BY_WHEELS = "the wheels that are named right are faster in left turns, which gives the sign"
 WRONG_SCALE = 2.0
 """Largest accepted ratio to the stated scale. Reverse-engineered databases have such errors. A
 larger ratio means another unit."""
@@ -152,7 +153,7 @@ def _sides(
             fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
             found = relation(yaw.smooth / v, (fr - fl + rr - rl) / v)
             if found.is_believed_of(1):
-                return found.sign, "the names of the wheels: right wheels are faster in left turns"
+                return found.sign, BY_WHEELS
     if _LEFT.search(yaw.signal.comment):
         return 1, f"the database's comment on {yaw.path}"
     for c in candidates:

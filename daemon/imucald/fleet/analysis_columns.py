@@ -109,7 +109,11 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         Column(
             "found", "flag", "", "true if q is at most 5 %, or if the move was found within a drive"
         ),
-        *floats("s", "within a drive: from its log's first frame until it was found", "found_s"),
+        *floats(
+            "s",
+            "move within a drive: time from the first frame of the log to the detection",
+            "found_s",
+        ),
     ),
     "analysis/groups": (
         *texts(column="column of drives", name="the batch"),

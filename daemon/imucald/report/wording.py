@@ -362,6 +362,11 @@ def _counted(n: int) -> str:
 
 
 def structure_text(structure: Structure) -> str:
-    """Text of left-over structure, with the readable title of the parameter."""
+    """Text of left-over structure, with the readable title of the parameter. If the parameter is
+    not one of the signal's sensor, the text says so."""
     key, text = structure.parameter, structure.text
-    return typographic(key_title(key) + text.removeprefix(key) if key else text)
+    if not key:
+        return typographic(text)
+    is_own = structure.signal.startswith(key.partition(".")[0])
+    of_another = "" if is_own else "the residual fits an error of another signal: "
+    return typographic(of_another + key_title(key) + text.removeprefix(key))

@@ -39,8 +39,8 @@ LEAST_GAP: Final = 0.9
 """Smallest distance of the ends of two frames, as a share of the second frame's time on the bus. It
 would be 1 without the limited resolution of the stamps."""
 SAME_ID_SHARE: Final = 0.25
-"""Time stamps are coarse if at least this share of frames has another frame of the same id in the
-same run."""
+"""Time stamps are coarse if more than this share of the frames has another frame of the same id in
+its run. A run is a sequence of frames that follow each other faster than a bus allows."""
 
 BACKLOG_S: Final = 2.0
 """Longest traffic that a recorder may hold back and stamp with one time [s]."""

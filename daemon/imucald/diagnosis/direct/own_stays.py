@@ -33,9 +33,9 @@ def number_as_long(own: Steps, length: int) -> float:
     """Expected number of a drive's stays that last at least this long. It is the larger of two
     estimates: from all stays, and from the longest ones.
 
-    own: (M,) lengths of the other stays in steps, 1 or more. length: that of the tested stay.
-    Without other stays the result is 1, since a filter that settles for the first time may stay for
-    any time.
+    own: (M,) lengths [steps, >= 1] of all stays of this drive except the tested one.
+    length: length of the tested stay [steps]. Without other stays the result is 1, since a filter
+    that settles for the first time may stay for any time.
     """
     if not len(own):
         return 1.0

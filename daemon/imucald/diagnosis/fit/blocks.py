@@ -39,7 +39,8 @@ TILTED = ("accel_x", "accel_y")
 LEAST_SHARE = 0.6
 """Share of a block's rows that must be present."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
-"""A block in which the vehicle hardly moves shows no more than stops do."""
+"""A block is used if the vehicle is faster than 1.5 m/s in at least 15 % of it; other blocks show
+no more than stops do."""
 SLOW_BAND_HZ = 0.2
 SMOOTH = 7
 """Number of spectral coefficients that are averaged."""

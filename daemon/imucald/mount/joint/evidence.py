@@ -315,7 +315,8 @@ class Evidence:
         self._breaks: set[int] = {0}
         self._axes: Axes | None = None
         self.rotation: Matrix3 | None = None
-        """R_vehicle_from_sensor (3, 3) of the force, roughly; None before anything shows it."""
+        """Approximate rotation (3, 3) from accelerometer to vehicle axes; None until there is
+        evidence for it."""
         self._taken = np.zeros(UNKNOWNS)
         self._late, self._lever_arm = late, np.array(lever_arm)
         self.delay, self.delay_std = late.mean, math.inf

@@ -35,7 +35,8 @@ def corrected_count(routed: Routed, channel: str) -> int:
 
 
 def frames_part(out: Sequence[OutFrame], row: int) -> OutPart:
-    """Return a part with frames that come before those of a row's samples, in the order given."""
+    """Return the frames as a part of the output. They are sent before the frames of the samples of
+    `row`, in the given order."""
     return OutPart(
         np.full(len(out), row),
         np.zeros(len(out), np.int64),  # one frame may close many ticks: keep their order
