@@ -19,6 +19,7 @@ from imucald.mount.mount_words import (
     change_words,
     half_width,
     how_it_sits,
+    left_out_words,
     mirror_note,
     moved_words,
     plus_minus,
@@ -150,3 +151,12 @@ def test_a_change_within_its_interval_is_worded_as_evidence_and_not_as_a_move():
     expected = "the evidence of yaw changed by +0.3 deg, within ±1.0 deg: the interval was widened"
     assert change_words(borne) == expected
     assert change_words(borne | {"within_deg": None}).startswith("the sensor was found moved: ")
+
+
+def test_data_that_were_not_used_are_named_in_words_once():
+    causes = [("speed", "speed_jump", 235.0), ("speed", "no valid samples", 4.0),
+              ("yaw_rate", "stuck", 12.0), ("accel", "saturated", 0.2)]  # fmt: skip
+    left = [{"signal": s, "cause": c, "seconds": t} for s, c, t in causes]
+    assert left_out_words({"not_learnt_from": left}) == (
+        "speed: jumps for 235 s, speed: no valid sample for 4 s, yaw rate: stuck for 12 s"
+    )

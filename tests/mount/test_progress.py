@@ -58,6 +58,9 @@ def test_nothing_is_said_of_the_time_while_no_information_comes():
     assert frozen.gates[2].left is None
 
 
+FIRST = "first 32 s of driving (then more conditions)"
+
+
 def test_until_there_is_a_first_solution_its_part_that_has_come_is_shown():
     """A bar of 0 % for half a minute would say that nothing happens."""
     shares = []
@@ -65,7 +68,7 @@ def test_until_there_is_a_first_solution_its_part_that_has_come_is_shown():
         found = progress(*[math.inf] * blocks, state=MountState.LEVELLED)
         assert found is not None
         shares.append([(gate.name, gate.share) for gate in found.gates])
-    assert shares[:4] == [[("first 32 s", pytest.approx(n / 5))] for n in range(1, 5)]
+    assert shares[:4] == [[(FIRST, pytest.approx(n / 5))] for n in range(1, 5)]
     assert [name for name, _ in shares[5]][:3] == ["forward axis", "left axis", "up axis"]
 
 

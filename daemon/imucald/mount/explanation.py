@@ -226,7 +226,7 @@ LONGEST_S = 3600.0
 GOALS = (MountState.USABLE, MountState.FINE)
 FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
 """Signals that a first solution needs [s]: two windows."""
-FIRST = f"first {FIRST_S:.0f} s"
+FIRST = f"first {FIRST_S:.0f} s of driving (then more conditions)"
 
 
 class ProgressWatch:

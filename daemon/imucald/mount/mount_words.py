@@ -252,6 +252,9 @@ def doubt_words(waiting_for: Mapping[str, str]) -> str:
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
+CAUSES_LEFT_OUT = {"no valid samples": "no valid sample", "speed_jump": "jumps"}
+
+
 def left_out_words(details: Mapping[str, Any]) -> str:
     """Return the data that were not used, by signal, cause and time; "" for less than a second."""
     parts = []
@@ -259,8 +262,9 @@ def left_out_words(details: Mapping[str, Any]) -> str:
         if one["seconds"] >= LEAST_LEFT_OUT_S:
             signal = str(one["signal"])
             signal = SENSOR_NAMES.get(signal, signal.replace("_", " "))
-            cause = str(one["cause"]).replace("_", " ")
-            parts.append(f"{signal} {cause} {one['seconds']:.0f} s")
+            cause = str(one["cause"])
+            words = CAUSES_LEFT_OUT.get(cause, cause.replace("_", " "))
+            parts.append(f"{signal}: {words} for {one['seconds']:.0f} s")
     return ", ".join(parts)
 
 
