@@ -89,6 +89,12 @@ def drawn(part, width: int, height: int = 40) -> list[str]:
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
 
 
+def without_input(status) -> dict[str, Any]:
+    """The same daemon 25 s after the last frame."""
+    health = status["health"] | {"accelerometer_missing": True}
+    return status | {"silent_s": 25.0, "health": health}
+
+
 SEEN_FIRST = {
     "all is well": ({}, {}, "corrected frames flow, marked fine"),
     "no frame comes": ({"silent_s": 25.0}, {"accelerometer_missing": True}, "NO INPUT for 25 s"),
@@ -130,8 +136,8 @@ def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
 def test_a_known_mount_has_no_colour_while_nothing_flows(status):
     """What was green on a bus without input misled."""
     console = Console(width=100, file=io.StringIO(), force_terminal=True, color_system="standard")
-    silent = status | {"state": "fine", "quality": 3, "silent_s": 25.0}
-    silent["health"] = status["health"] | {"accelerometer_missing": True}
+    status["progress"] = PROGRESS
+    silent = without_input(status) | {"state": "fine", "quality": 3}
     console.print(headline(silent))
     console.print(monitor_picture(silent, [], console, Text("")))
     console.print(picture(silent))
@@ -142,7 +148,10 @@ def test_a_known_mount_has_no_colour_while_nothing_flows(status):
     assert f"{green}fine" not in text
     assert "\x1b[32m" not in text
     console.print(headline(status | {"state": "fine", "quality": 3}))
-    assert f"{green}fine" in console.file.getvalue()  # type: ignore[attr-defined]
+    console.print(picture(status))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert f"{green}fine" in text
+    assert "\x1b[32m━" in text, "the gate at 100 %"
 
 
 def test_a_daemon_that_does_not_answer_is_the_first_line(status):
@@ -596,6 +605,18 @@ def test_the_page_gets_only_rows_that_it_has_not_and_no_more_than_half_an_hour(s
         1.6e9 + 1896.0,
         1.6e9 + 1898.0,
     ]
+
+
+def test_no_gate_of_the_page_is_green_while_nothing_flows(status):
+    from imucald.commands.monitor_web import LiveState
+
+    state = LiveState()
+    state.update(status, 1.6e9)
+    assert not state.page()["stale"]
+    state.fail(LinkError("no socket"))
+    assert state.page()["stale"]
+    state.update(without_input(status), 1.6e9)
+    assert state.page()["stale"]
 
 
 def test_a_daemon_that_went_away_is_reported(status):

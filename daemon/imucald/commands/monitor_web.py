@@ -128,6 +128,7 @@ class LiveState:
             "note": self._note,
             "state": status["state"],
             "flow": asdict(flow(status)),
+            "stale": is_stale(status, self._trouble),
             "version": status["version"],
             "channel": status["link"]["channel"],
             "link": status["link"]["state"],

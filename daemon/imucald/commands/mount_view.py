@@ -55,14 +55,15 @@ def mount_parts(
     if result.get("standing_faults") and not is_checked:
         yield Text(f"next         {TRY_CHECK}", style="yellow")
     if progress is not None:
-        yield _gates(progress, bar)
+        yield _gates(progress, bar, is_stale)
     if left := sent_words(result.get("correction")):
         yield Text(f"errors left in corrected frames: {left}")
     yield Text(ABOUT, style="dim")
 
 
-def _gates(progress: Mapping[str, Any], bar: int) -> Table:
+def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
     """Make a bar for each missing condition, with its share and the remaining driving."""
+    unfinished, finished = ("dim", "dim") if is_stale else ("yellow", "green")
     table = Table(box=None, pad_edge=False)
     table.add_column(f"to {progress['goal']}")
     table.add_column("")
@@ -70,7 +71,7 @@ def _gates(progress: Mapping[str, Any], bar: int) -> Table:
     table.add_column("")
     for gate in progress["gates"]:
         share = ProgressBar(
-            1.0, gate["share"], bar, complete_style="yellow", finished_style="green"
+            1.0, gate["share"], bar, complete_style=unfinished, finished_style=finished
         )
         table.add_row(gate["gate"], share, percent(gate["share"]), driving_left(gate["left_s"]))
     return table
