@@ -154,6 +154,23 @@ def test_a_known_mount_has_no_colour_while_nothing_flows(status):
     assert "\x1b[32m━" in text, "the gate at 100 %"
 
 
+def test_nobody_is_asked_to_drive_while_nothing_flows(status):
+    """Driving does not help: the input has to come back first."""
+    status["progress"] = PROGRESS
+    silent = without_input(status)
+    ended = "the daemon has ended"
+    for words in (short, waits_for):
+        assert "3 min of driving" not in words(silent)
+        assert "waiting for" not in words(silent)
+    for size in ((100, 50), (80, 24)):
+        for one, trouble in ((silent, ""), (status, ended)):
+            console = Console(width=size[0], height=size[1], file=io.StringIO())
+            shown = monitor_picture(one, [], console, Text(""), trouble)
+            assert "of driving" not in "\n".join(drawn(shown, *size))
+    assert "of driving" not in "\n".join(drawn(picture(silent), 100))
+    assert "of driving" in "\n".join(drawn(picture(status), 100))
+
+
 def test_a_daemon_that_does_not_answer_is_the_first_line(status):
     lines = drawn(lambda c: monitor_picture(status, [], c, Text(""), "no such socket"), 80, 24)
     assert lines[0].startswith("NO ANSWER: no such socket")
@@ -607,16 +624,22 @@ def test_the_page_gets_only_rows_that_it_has_not_and_no_more_than_half_an_hour(s
     ]
 
 
-def test_no_gate_of_the_page_is_green_while_nothing_flows(status):
+def test_no_gate_of_the_page_is_green_or_has_a_time_while_nothing_flows(status):
     from imucald.commands.monitor_web import LiveState
 
     state = LiveState()
+    status["progress"] = PROGRESS
+
+    def shown() -> tuple[bool, list[str]]:
+        page = state.page()
+        return page["stale"], [gate["left"] for gate in page["progress"]["gates"]]
+
     state.update(status, 1.6e9)
-    assert not state.page()["stale"]
+    assert shown() == (False, ["", "about 3 min of driving", ""])
     state.fail(LinkError("no socket"))
-    assert state.page()["stale"]
+    assert shown() == (True, [""] * 3)
     state.update(without_input(status), 1.6e9)
-    assert state.page()["stale"]
+    assert shown() == (True, [""] * 3)
 
 
 def test_a_daemon_that_went_away_is_reported(status):

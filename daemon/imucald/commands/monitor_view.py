@@ -68,7 +68,8 @@ def monitor_picture(
         wrong = wrong_now(status)
         below = [*([Text(f"now     {wrong}", style="red")] if wrong else []), foot]
         inputs = Text(_short(status))
-        progress = [Text(words) for words in [progress_words(status.get("progress"))] if words]
+        missing = "" if is_grey else progress_words(status.get("progress"))
+        progress = [Text(missing)] if missing else []
         while True:
             line = [] if any(isinstance(part, Table) for part in mount[1:]) else progress
             top = [headline(status, trouble), Group(*mount, *line)]

@@ -143,7 +143,7 @@ class LiveState:
             "sent": sent_words(status.get("correction")),
             "convention": ABOUT,
             "mount": [_angle(status, i) for i in range(len(ANGLES))],
-            "progress": _progress(status.get("progress")),
+            "progress": _progress(status.get("progress"), is_stale(status, self._trouble)),
             "reasons": [
                 {"who": who, "text": text, "trouble": is_trouble(text)}
                 for who, text in reasons(status["waiting_for"])
@@ -186,11 +186,15 @@ def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _progress(progress: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def _progress(progress: Mapping[str, Any] | None, stale: bool) -> dict[str, Any] | None:
     if progress is None:
         return None
     gates = [
-        {**gate, "percent": percent(gate["share"]), "left": driving_left(gate["left_s"])}
+        {
+            **gate,
+            "percent": percent(gate["share"]),
+            "left": "" if stale else driving_left(gate["left_s"]),
+        }
         for gate in progress["gates"]
     ]
     return {"goal": progress["goal"], "gates": gates}

@@ -51,7 +51,7 @@ def mount_parts(
         if is_trouble(text):
             yield Text(f"trouble      {text}", style="bold red")
         else:
-            yield Text(f"waiting for  {names}: {text}", style="yellow")
+            yield Text(f"waiting for  {names}: {text}", style="dim" if is_stale else "yellow")
     if result.get("standing_faults") and not is_checked:
         yield Text(f"next         {TRY_CHECK}", style="yellow")
     if progress is not None:
@@ -62,7 +62,10 @@ def mount_parts(
 
 
 def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
-    """Make a bar for each missing condition, with its share and the remaining driving."""
+    """Make a bar for each missing condition, with its share and the remaining driving.
+
+    is_stale: nothing flows, so nothing is good and no time is stated.
+    """
     unfinished, finished = ("dim", "dim") if is_stale else ("yellow", "green")
     table = Table(box=None, pad_edge=False)
     table.add_column(f"to {progress['goal']}")
@@ -73,7 +76,8 @@ def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
         share = ProgressBar(
             1.0, gate["share"], bar, complete_style=unfinished, finished_style=finished
         )
-        table.add_row(gate["gate"], share, percent(gate["share"]), driving_left(gate["left_s"]))
+        left = "" if is_stale else driving_left(gate["left_s"])
+        table.add_row(gate["gate"], share, percent(gate["share"]), left)
     return table
 
 

@@ -72,6 +72,8 @@ def short(status: Mapping[str, Any]) -> str:
 
 
 def _still_missing(status: Mapping[str, Any]) -> list[str]:
+    if flow(status).kind is FlowKind.NONE:  # driving does not help while nothing flows
+        return []
     waits = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
     progress = progress_words(status.get("progress"))
     return waits + [progress] * bool(progress)
