@@ -334,6 +334,17 @@ def test_a_reason_that_changes_within_a_state_is_an_event(status):
     assert sum(e.kind == "reason" for e in events.events) == 1
 
 
+def test_events_are_in_the_order_of_their_times(status):
+    """A reason is reported 12.8 s after it began, with the time at which it began."""
+    other = copy.deepcopy(status) | {"waiting_for": {"yaw": "turns"}}
+    down = copy.deepcopy(other)
+    down["link"]["state"] = "down"
+    events = events_of(status, *[other] * 5, *[down] * 10).events
+    kinds = [e.kind for e in events if e.kind in ("reason", "bus")]
+    assert kinds == ["reason", "bus"]
+    assert [e.at for e in events] == sorted(e.at for e in events)
+
+
 def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status):
     events = LiveEvents()
     events.remember([{"at": 1.5e9, "level": "notice", "text": "usable at 70.4 s"}])
@@ -450,15 +461,15 @@ def test_events_are_reported_once_with_the_time_of_day(silent, status):
     events = events_of(silent, status, status, down, down, status)
     kinds = [(event.kind, event.text.partition(":")[0]) for event in events.events]
     assert kinds == [
+        ("moved", "the sensor was found moved"),
         ("state", "waiting"),
         ("state", "usable"),
-        ("moved", "the sensor was found moved"),
         ("bus", f"{status['link']['channel']} is down"),
         ("alarm", "no speed"),
         ("bus", f"{status['link']['channel']} is up"),
         ("alarm", "no speed"),
     ]
-    moved = events.events[2]
+    moved = events.events[0]
     assert moved.at == 1.6e9 + 3 - 100.0 + 40.0
     assert moved.clock == time.strftime("%H:%M:%S", time.localtime(moved.at))
 
