@@ -241,11 +241,15 @@ def test_no_reason_is_cut_at_any_width(status, width):
         assert "…" not in "".join(lines)
 
 
+def row(text: str, name: str) -> list[str]:
+    (found,) = (line for line in text.splitlines() if line.startswith(name))
+    return found.split()
+
+
 def test_now_and_target_stand_side_by_side_with_one_convention(status):
     text = "\n".join(drawn(picture(status), 100))
-    row = next(line for line in text.splitlines() if line.startswith("yaw"))
-    assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
-    assert row.split()[3:] == ["up", "axis", "±0.70°", "fine", "below", "±0.60°"]
+    assert row(text, "yaw") == ["yaw", "-10.60°", "±0.88°"]
+    assert row(text, "up axis") == ["up", "axis", "±0.70°", "fine", "below", "±0.60°"]
     assert text.count("± is 95 %") == 1
     assert "waiting for  roll, pitch: " in text
     assert status["mount"]["sits"] in " ".join(text.split())
@@ -254,9 +258,17 @@ def test_now_and_target_stand_side_by_side_with_one_convention(status):
 def test_what_is_judged_stands_beside_the_target_and_not_what_the_housing_is_known_to(status):
     status["mount"]["judged_std_deg"] = {"x": 0.25, "y": 0.3, "z": 0.12}
     text = "\n".join(drawn(picture(status), 100))
-    row = next(line for line in text.splitlines() if line.startswith("yaw"))
-    assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
-    assert row.split()[3:] == ["up", "axis", "±0.24°", "fine", "below", "±0.60°"]
+    assert row(text, "yaw") == ["yaw", "-10.60°", "±0.88°"]
+    assert row(text, "up axis") == ["up", "axis", "±0.24°", "fine", "below", "±0.60°"]
+
+
+def test_no_row_has_two_plus_minus(status):
+    """One for the angle of the housing and one for a corrected axis read as one."""
+    for part in (picture(status), lambda c: monitor_picture(status, [], c, Text(""))):
+        lines = drawn(part, 120)
+        assert all(line.count("±") == 1 for line in lines if line.startswith(tuple(ANGLES)))
+        axes = [line for line in lines if " axis  " in line and "below" in line]
+        assert [line.count("±") for line in axes] == [2] * 3, "and the limit of its target"
 
 
 PROGRESS = {
@@ -273,7 +285,7 @@ def test_each_gate_has_a_bar_with_its_share_and_the_driving_that_is_left(status)
     status["progress"] = PROGRESS
     lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), 100)
     names = ("forward axis", "up axis", "check of the signs")
-    forward, up, signs = ([x for x in lines if x.startswith(name)][-1] for name in names)
+    forward, up, signs = (next(x for x in lines if x.startswith(n) and " %" in x) for n in names)
     assert any(line.startswith("to fine") for line in lines)
     assert forward.split()[-2:] == ["100", "%"]
     assert up.rstrip().endswith("34 %  about 3 min of driving")
@@ -353,9 +365,15 @@ def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status
     assert [(e.at, e.kind, e.text) for e in events.events] == [(1.5e9, "log", "usable at 70.4 s")]
 
 
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (140, 40)])
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (140, 40)])
 def test_the_picture_fits_the_terminal_with_its_newest_event_and_foot(status, width, height):
     events = LiveEvents()
+    status["progress"] = PROGRESS
+    status["correction"] = {
+        "cross_talk_std_deg": dict.fromkeys(("xy", "yx", "zx", "zy"), 0.3),
+        "gyro_cross_talk_std_deg": dict.fromkeys(("xz", "yz"), 0.3),
+        "zero_std_mps2": [0.1, 0.1, None],
+    }
     other = copy.deepcopy(status) | {"state": "suspect"}
     for second in range(30):
         events.update(status if second % 2 else other, 1.6e9 + second)
