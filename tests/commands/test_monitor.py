@@ -392,6 +392,20 @@ def test_what_happened_before_a_long_silence_keeps_its_time_of_day(status):
     assert usable.at == pytest.approx(1.6e9 - 3600.0 - 100.0 + 76.8)
 
 
+def test_evidence_says_what_counts(status):
+    """'0 right turns' next to 'weights: turns 17 %' reads as a contradiction."""
+    status["details"] = {
+        "launches_and_brakings": 0,
+        "left_turns": 1,
+        "right_turns": 0,
+        "evidence_share": {"yaw": {"yaw_dvdt": 0.83, "yaw_turn": 0.17}},
+    }
+    text = " ".join(" ".join(drawn(picture(status), 80)).split())
+    assert "evidence 0 launches and brakings above 1 m/s², 1 left turn above 0.8 m/s², " in text
+    assert "0 right turns above 0.8 m/s²" in text
+    assert "weights yaw: acceleration 83 %, turns 17 %" in text
+
+
 def test_sensors_are_not_called_sound_while_none_sends(silent):
     late = silent | {"uptime_s": 60.0}
     line = next(x for x in drawn(picture(late), 100) if x.startswith("sensors"))
