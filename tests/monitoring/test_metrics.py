@@ -29,6 +29,7 @@ from imucald.core.errors import LinkError
 from imucald.service.asking import ask
 from imucald.service.exposition import bus_of, gathered, merged
 from imucald.service.listening import listening_at
+from imucald.service.metrics import metrics_text
 from imucald.service.metrics_server import CLIENTS_MAX, MetricsServer
 from service_bench import Bench, running
 
@@ -76,6 +77,18 @@ def test_a_library_of_prometheus_reads_the_same_numbers_as_the_status_has(metric
     assert (rejected.labels["reason"], rejected.value) == ('bad "reason"\\\n', 2.0)
     assert found["imucald_samples"].type == "counter"
     assert found["imucald_held"].samples[0].value == 0.0
+    flows = found["imucald_corrected_frames_flow"].samples[0].value
+    assert flows == (status["flow"]["kind"] == "good")
+
+
+def test_a_good_quality_without_input_is_no_flow_of_corrected_frames(metrics_and_status):
+    _, status = metrics_and_status
+    for missing, flows in ((False, 1.0), (True, 0.0)):
+        health = {**status["health"], "accelerometer_missing": missing}
+        now = {**status, "quality": 2, "health": health}
+        found = {f.name: f for f in text_string_to_metric_families(metrics_text(now))}
+        assert found["imucald_quality"].samples[0].value == 2.0
+        assert found["imucald_corrected_frames_flow"].samples[0].value == flows
 
 
 def test_promtool_finds_no_mistake_in_the_text(metrics_and_status, promtool):

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from imucald.mount.estimate import MountState
-from imucald.runtime.flow import ALARMS
+from imucald.runtime.flow import ALARMS, FlowKind, flow
 from imucald.service.exposition import escaped
 
 _Sample = tuple[Mapping[str, str], float | int | None]
@@ -48,6 +48,9 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     yield "info", "gauge", "Which program runs.", [({"version": status["version"]}, 1)]
     yield "state", "gauge", "1 for the present state of the mount calibration.", list(states)
     yield "quality", "gauge", "Quality of the corrected frames.", [(none, status["quality"])]
+    flows = [(none, int(flow(status).kind is FlowKind.GOOD))]
+    about = "1 while corrected frames flow, marked restored, usable or fine."
+    yield "corrected_frames_flow", "gauge", about, list(flows)
     yield "held", "gauge", "1 while nothing is learnt.", [(none, int(status["held"]))]
     alarms = [({"alarm": name}, int(status["health"][name])) for name in ALARMS]
     yield "alarm", "gauge", "1 while an alarm of the health frame is on.", list(alarms)
