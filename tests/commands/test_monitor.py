@@ -166,8 +166,10 @@ def test_nobody_is_asked_to_drive_while_nothing_flows(status):
         for one, trouble in ((silent, ""), (status, ended)):
             console = Console(width=size[0], height=size[1], file=io.StringIO())
             shown = monitor_picture(one, [], console, Text(""), trouble)
-            assert "of driving" not in "\n".join(drawn(shown, *size))
-    assert "of driving" not in "\n".join(drawn(picture(silent), 100))
+            text = "\n".join(drawn(shown, *size))
+            assert "of driving" not in text
+            assert "waiting for" not in text
+    assert "waiting for" not in "\n".join(drawn(picture(silent), 100))
     assert "of driving" in "\n".join(drawn(picture(status), 100))
 
 
@@ -675,6 +677,7 @@ def test_no_gate_of_the_page_is_green_or_has_a_time_while_nothing_flows(status):
 
     def shown() -> tuple[bool, list[str]]:
         page = state.page()
+        assert bool(page["reasons"]) != page["stale"]
         return page["stale"], [gate["left"] for gate in page["progress"]["gates"]]
 
     state.update(status, 1.6e9)

@@ -122,13 +122,13 @@ class LiveState:
         status = self._status
         if status is None:
             return {"trouble": self._trouble or "no answer yet"}
-        mount = status["mount"]
+        mount, stale = status["mount"], is_stale(status, self._trouble)
         return {
             "trouble": self._trouble,
             "note": self._note,
             "state": status["state"],
             "flow": asdict(flow(status)),
-            "stale": is_stale(status, self._trouble),
+            "stale": stale,
             "version": status["version"],
             "channel": status["link"]["channel"],
             "link": status["link"]["state"],
@@ -143,10 +143,11 @@ class LiveState:
             "sent": sent_words(status.get("correction")),
             "convention": ABOUT,
             "mount": [_angle(status, i) for i in range(len(ANGLES))],
-            "progress": _progress(status.get("progress"), is_stale(status, self._trouble)),
+            "progress": _progress(status.get("progress"), stale),
             "reasons": [
                 {"who": who, "text": text, "trouble": is_trouble(text)}
                 for who, text in reasons(status["waiting_for"])
+                if is_trouble(text) or not stale
             ],
             "inputs": [_input(status, c, row) for c, row in status["signals"].items()],
             "rejected": status["frames"]["rejected"],

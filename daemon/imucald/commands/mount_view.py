@@ -51,8 +51,8 @@ def mount_parts(
     for names, text in reasons(result["waiting_for"]):
         if is_trouble(text):
             yield Text(f"trouble      {text}", style="bold red")
-        else:
-            yield Text(f"waiting for  {names}: {text}", style="dim" if is_stale else "yellow")
+        elif not is_stale:  # driving does not help while nothing flows
+            yield Text(f"waiting for  {names}: {text}", style="yellow")
     if result.get("standing_faults") and not is_checked:
         yield Text(f"next         {TRY_CHECK}", style="yellow")
     if progress is not None:
