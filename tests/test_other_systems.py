@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import can
 import pytest
 
 from imucald.can.logs.log_reader import CandumpWriter
@@ -71,6 +72,23 @@ def test_init_check_and_replay_run_without_what_only_linux_has(tmp_path: Path) -
     assert json.loads(result.read_text())["frames"]["used"] > 1000
     assert (tmp_path / "drive.accel.csv").exists()
     assert list((tmp_path / "page").glob("*.html"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["drive.asc", "drive.blf"])
+def test_logs_of_tools_that_run_on_windows_are_read_there(name: str, tmp_path: Path) -> None:
+    log, result = tmp_path / name, tmp_path / "result.json"
+    frames = drive_frames(minutes=1.0)
+    rows = zip(frames.t, frames.can_id, frames.data, frames.length, strict=True)
+    with can.Logger(log) as writer:
+        for t, can_id, data, length in rows:
+            writer.on_message_received(
+                can.Message(float(t), int(can_id), is_extended_id=False, data=bytes(data[:length]))
+            )
+    run("replay", "--config", ROOT / "config" / "imucald.yaml", log, "--json", result)
+    counts = json.loads(result.read_text())["frames"]
+    assert counts["read"] == len(frames)
+    assert counts["used"] > 0.99 * len(frames)
 
 
 @pytest.mark.slow

@@ -89,6 +89,12 @@ def drawn(part, width: int, height: int = 40) -> list[str]:
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
 
 
+def without_input(status) -> dict[str, Any]:
+    """The same daemon 25 s after the last frame."""
+    health = status["health"] | {"accelerometer_missing": True}
+    return status | {"silent_s": 25.0, "health": health}
+
+
 SEEN_FIRST = {
     "all is well": ({}, {}, "corrected frames flow, marked fine"),
     "no frame comes": ({"silent_s": 25.0}, {"accelerometer_missing": True}, "NO INPUT for 25 s"),
@@ -130,8 +136,8 @@ def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
 def test_a_known_mount_has_no_colour_while_nothing_flows(status):
     """What was green on a bus without input misled."""
     console = Console(width=100, file=io.StringIO(), force_terminal=True, color_system="standard")
-    silent = status | {"state": "fine", "quality": 3, "silent_s": 25.0}
-    silent["health"] = status["health"] | {"accelerometer_missing": True}
+    status["progress"] = PROGRESS
+    silent = without_input(status) | {"state": "fine", "quality": 3}
     console.print(headline(silent))
     console.print(monitor_picture(silent, [], console, Text("")))
     console.print(picture(silent))
@@ -142,7 +148,29 @@ def test_a_known_mount_has_no_colour_while_nothing_flows(status):
     assert f"{green}fine" not in text
     assert "\x1b[32m" not in text
     console.print(headline(status | {"state": "fine", "quality": 3}))
-    assert f"{green}fine" in console.file.getvalue()  # type: ignore[attr-defined]
+    console.print(picture(status))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert f"{green}fine" in text
+    assert "\x1b[32m━" in text, "the gate at 100 %"
+
+
+def test_nobody_is_asked_to_drive_while_nothing_flows(status):
+    """Driving does not help: the input has to come back first."""
+    status["progress"] = PROGRESS
+    silent = without_input(status)
+    ended = "the daemon has ended"
+    for words in (short, waits_for):
+        assert "3 min of driving" not in words(silent)
+        assert "waiting for" not in words(silent)
+    for size in ((100, 50), (80, 24)):
+        for one, trouble in ((silent, ""), (status, ended)):
+            console = Console(width=size[0], height=size[1], file=io.StringIO())
+            shown = monitor_picture(one, [], console, Text(""), trouble)
+            text = "\n".join(drawn(shown, *size))
+            assert "of driving" not in text
+            assert "waiting for" not in text
+    assert "waiting for" not in "\n".join(drawn(picture(silent), 100))
+    assert "of driving" in "\n".join(drawn(picture(status), 100))
 
 
 def test_a_daemon_that_does_not_answer_is_the_first_line(status):
@@ -215,11 +243,15 @@ def test_no_reason_is_cut_at_any_width(status, width):
         assert "…" not in "".join(lines)
 
 
+def row(text: str, name: str) -> list[str]:
+    (found,) = (line for line in text.splitlines() if line.startswith(name))
+    return found.split()
+
+
 def test_now_and_target_stand_side_by_side_with_one_convention(status):
     text = "\n".join(drawn(picture(status), 100))
-    row = next(line for line in text.splitlines() if line.startswith("yaw"))
-    assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
-    assert row.split()[3:] == ["up", "axis", "±0.70°", "fine", "below", "±0.60°"]
+    assert row(text, "yaw") == ["yaw", "-10.60°", "±0.88°"]
+    assert row(text, "up axis") == ["up", "axis", "±0.70°", "fine", "below", "±0.60°"]
     assert text.count("± is 95 %") == 1
     assert "waiting for  roll, pitch: " in text
     assert status["mount"]["sits"] in " ".join(text.split())
@@ -228,9 +260,17 @@ def test_now_and_target_stand_side_by_side_with_one_convention(status):
 def test_what_is_judged_stands_beside_the_target_and_not_what_the_housing_is_known_to(status):
     status["mount"]["judged_std_deg"] = {"x": 0.25, "y": 0.3, "z": 0.12}
     text = "\n".join(drawn(picture(status), 100))
-    row = next(line for line in text.splitlines() if line.startswith("yaw"))
-    assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
-    assert row.split()[3:] == ["up", "axis", "±0.24°", "fine", "below", "±0.60°"]
+    assert row(text, "yaw") == ["yaw", "-10.60°", "±0.88°"]
+    assert row(text, "up axis") == ["up", "axis", "±0.24°", "fine", "below", "±0.60°"]
+
+
+def test_no_row_has_two_plus_minus(status):
+    """One for the angle of the housing and one for a corrected axis read as one."""
+    for part in (picture(status), lambda c: monitor_picture(status, [], c, Text(""))):
+        lines = drawn(part, 120)
+        assert all(line.count("±") == 1 for line in lines if line.startswith(tuple(ANGLES)))
+        axes = [line for line in lines if " axis  " in line and "below" in line]
+        assert [line.count("±") for line in axes] == [2] * 3, "and the limit of its target"
 
 
 PROGRESS = {
@@ -247,7 +287,7 @@ def test_each_gate_has_a_bar_with_its_share_and_the_driving_that_is_left(status)
     status["progress"] = PROGRESS
     lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), 100)
     names = ("forward axis", "up axis", "check of the signs")
-    forward, up, signs = ([x for x in lines if x.startswith(name)][-1] for name in names)
+    forward, up, signs = (next(x for x in lines if x.startswith(n) and " %" in x) for n in names)
     assert any(line.startswith("to fine") for line in lines)
     assert forward.split()[-2:] == ["100", "%"]
     assert up.rstrip().endswith("34 %  about 3 min of driving")
@@ -308,6 +348,17 @@ def test_a_reason_that_changes_within_a_state_is_an_event(status):
     assert sum(e.kind == "reason" for e in events.events) == 1
 
 
+def test_events_are_in_the_order_of_their_times(status):
+    """A reason is reported 12.8 s after it began, with the time at which it began."""
+    other = copy.deepcopy(status) | {"waiting_for": {"yaw": "turns"}}
+    down = copy.deepcopy(other)
+    down["link"]["state"] = "down"
+    events = events_of(status, *[other] * 5, *[down] * 10).events
+    kinds = [e.kind for e in events if e.kind in ("reason", "bus")]
+    assert kinds == ["reason", "bus"]
+    assert [e.at for e in events] == sorted(e.at for e in events)
+
+
 def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status):
     events = LiveEvents()
     events.remember([{"at": 1.5e9, "level": "notice", "text": "usable at 70.4 s"}])
@@ -316,9 +367,15 @@ def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status
     assert [(e.at, e.kind, e.text) for e in events.events] == [(1.5e9, "log", "usable at 70.4 s")]
 
 
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (140, 40)])
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (140, 40)])
 def test_the_picture_fits_the_terminal_with_its_newest_event_and_foot(status, width, height):
     events = LiveEvents()
+    status["progress"] = PROGRESS
+    status["correction"] = {
+        "cross_talk_std_deg": dict.fromkeys(("xy", "yx", "zx", "zy"), 0.3),
+        "gyro_cross_talk_std_deg": dict.fromkeys(("xz", "yz"), 0.3),
+        "zero_std_mps2": [0.1, 0.1, None],
+    }
     other = copy.deepcopy(status) | {"state": "suspect"}
     for second in range(30):
         events.update(status if second % 2 else other, 1.6e9 + second)
@@ -335,6 +392,20 @@ def test_what_happened_before_a_long_silence_keeps_its_time_of_day(status):
     status["silent_s"] = 3600.0
     (usable,) = [e for e in events_of(status).events if "first time" in e.text]
     assert usable.at == pytest.approx(1.6e9 - 3600.0 - 100.0 + 76.8)
+
+
+def test_evidence_says_what_counts(status):
+    """'0 right turns' next to 'weights: turns 17 %' reads as a contradiction."""
+    status["details"] = {
+        "launches_and_brakings": 0,
+        "left_turns": 1,
+        "right_turns": 0,
+        "evidence_share": {"yaw": {"yaw_dvdt": 0.83, "yaw_turn": 0.17}},
+    }
+    text = " ".join(" ".join(drawn(picture(status), 80)).split())
+    assert "evidence 0 launches and brakings above 1 m/s², 1 left turn above 0.8 m/s², " in text
+    assert "0 right turns above 0.8 m/s²" in text
+    assert "weights yaw: acceleration 83 %, turns 17 %" in text
 
 
 def test_sensors_are_not_called_sound_while_none_sends(silent):
@@ -424,15 +495,15 @@ def test_events_are_reported_once_with_the_time_of_day(silent, status):
     events = events_of(silent, status, status, down, down, status)
     kinds = [(event.kind, event.text.partition(":")[0]) for event in events.events]
     assert kinds == [
+        ("moved", "the sensor was found moved"),
         ("state", "waiting"),
         ("state", "usable"),
-        ("moved", "the sensor was found moved"),
         ("bus", f"{status['link']['channel']} is down"),
         ("alarm", "no speed"),
         ("bus", f"{status['link']['channel']} is up"),
         ("alarm", "no speed"),
     ]
-    moved = events.events[2]
+    moved = events.events[0]
     assert moved.at == 1.6e9 + 3 - 100.0 + 40.0
     assert moved.clock == time.strftime("%H:%M:%S", time.localtime(moved.at))
 
@@ -596,6 +667,25 @@ def test_the_page_gets_only_rows_that_it_has_not_and_no_more_than_half_an_hour(s
         1.6e9 + 1896.0,
         1.6e9 + 1898.0,
     ]
+
+
+def test_no_gate_of_the_page_is_green_or_has_a_time_while_nothing_flows(status):
+    from imucald.commands.monitor_web import LiveState
+
+    state = LiveState()
+    status["progress"] = PROGRESS
+
+    def shown() -> tuple[bool, list[str]]:
+        page = state.page()
+        assert bool(page["reasons"]) != page["stale"]
+        return page["stale"], [gate["left"] for gate in page["progress"]["gates"]]
+
+    state.update(status, 1.6e9)
+    assert shown() == (False, ["", "about 3 min of driving", ""])
+    state.fail(LinkError("no socket"))
+    assert shown() == (True, [""] * 3)
+    state.update(without_input(status), 1.6e9)
+    assert shown() == (True, [""] * 3)
 
 
 def test_a_daemon_that_went_away_is_reported(status):

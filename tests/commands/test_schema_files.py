@@ -12,9 +12,11 @@ import yaml
 
 from imucald.can.logs.log_reader import CandumpWriter
 from imucald.cli import main
+from imucald.commands.schema import CONFIGURATION, schema_text
 from paths import ROOT
 from simulated_bus import drive_frames
 
+CONFIGURATIONS = [ROOT / "config/imucald.yaml", *sorted(ROOT.glob("config/examples/*.yaml"))]
 MODELS = sorted((ROOT / "config/examples/models").glob("*.yaml"))
 LATER = {"$defs", "prefixItems", "dependentRequired", "dependentSchemas", "unevaluatedProperties"}
 """Keywords that draft 7 does not have, and that its readers pass over."""
@@ -50,6 +52,15 @@ def test_the_configuration_of_init_names_a_schema_that_it_keeps_to(tmp_path):
     assert not schema.is_valid({**content, "vehicel": {}})
     content["vehicle"]["track"] = "wide"
     assert not schema.is_valid(content)
+
+
+@pytest.mark.parametrize("example", CONFIGURATIONS, ids=lambda path: path.stem)
+def test_an_example_names_the_schema_of_today_and_keeps_to_it(example: Path):
+    assert not list(schema_of(example).iter_errors(yaml.safe_load(example.read_text())))
+    kept = ROOT / "config" / CONFIGURATION
+    assert kept.read_text() == schema_text(CONFIGURATION), (
+        f"imucald schema > config/{CONFIGURATION}"
+    )
 
 
 def test_a_model_file_names_a_schema_that_it_keeps_to(tmp_path):

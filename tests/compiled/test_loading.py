@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -120,6 +121,18 @@ def test_a_replay_without_it_gives_the_same(tmp_path: Path) -> None:
     state, result = done.stdout.splitlines()
     assert state == f"switched off by {SWITCH}=0"
     assert result == str(imucald.replay(imucald.Config.load(CONFIG), log).to_dict())
+
+
+def test_program_and_pages_say_the_same_of_the_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """4 times for a log of our own signals, 10 among those of other units: no single number."""
+    monkeypatch.setattr(compiled, "kernels", None)
+    texts = [compiled.slow_words()]
+    for page, word in (("README.md", "C compiler"), ("docs/python.md", "C compiler")):
+        (line,) = (x for x in (ROOT / page).read_text().splitlines() if word in x)
+        texts.append(line)
+    for text in texts:
+        assert "several times as" in text
+        assert not re.search(r"\d times as|a sixth", text)
 
 
 @pytest.mark.parametrize("command", ["replay", "run"])

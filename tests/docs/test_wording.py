@@ -45,7 +45,7 @@ def lines_of(text: str) -> Iterator[tuple[int, str]]:
         if line.lstrip().startswith("```"):
             code = not code
         elif not code and not line.startswith("    "):
-            yield number, re.sub(r"`[^`]*`|\]\([^)]*\)|look-alikes?", "", line)
+            yield number, re.sub(r"`[^`]*`|\]\([^)]*\)", "", line)
 
 
 def sentences(module: Path) -> Iterator[tuple[int, str]]:
@@ -64,9 +64,15 @@ def sentences(module: Path) -> Iterator[tuple[int, str]]:
 
 
 def test_the_table_of_avoided_words_is_read() -> None:
-    assert {"told", "stretch", "presets", "mounting angle"} <= set(avoided())
-    assert pattern().search("which is Told here")
-    assert not pattern().search("retold; a lottery")
+    assert {"lateness", "stretch", "otherwise than", "mounting angle"} <= set(avoided())
+    assert pattern().search("its Lateness here")
+    assert not pattern().search("stretched; plateness")
+
+
+def test_usual_words_are_not_avoided() -> None:
+    """Sentences that went around them were worse than the words."""
+    for text in ("it is told", "a lot", "honest", "0.3 sd", "mended", "alike", "anew", "preset"):
+        assert not pattern().search(text)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import signal
 import struct
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from feed_bench import AHEAD, calibrated, source_of, traffic, wait_until
 from imucald import cli
 from imucald.commands import feed as feed_command
+from imucald.commands import status as status_command
 from imucald.config import parse_config
 from imucald.core.errors import ImucaldError
 from imucald.feeds.corrected_frames import STALE_S, CorrectedFrames
@@ -211,7 +213,7 @@ def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_reporte
         (["feed", "mqtt", "can7", "--topic", "a/#"], "must not contain '#' or '\\+'"),
         (["feed", "mqtt", "can7", "--ca", "/nowhere"], "/nowhere: there is no such file"),
         (["feed", "kuksa", "can7", "--token", "/nowhere"], "/nowhere: there is no such file"),
-        (["feed", "kuksa"], "no running daemon found"),
+        (["feed", "mqtt", "--topic", "a/#"], "must not contain '#' or '\\+'"),
     ],
 )
 def test_a_feed_that_cannot_begin_says_why(command, why, capsys, monkeypatch):
@@ -220,18 +222,50 @@ def test_a_feed_that_cannot_begin_says_why(command, why, capsys, monkeypatch):
     assert capsys.readouterr().err.replace("+", "\\+").count(why) == 1
 
 
-@pytest.mark.parametrize(("channel", "topic"), [("239.74.163.2", "239.74.163.2"), (None, "bus")])
+@pytest.mark.parametrize(("channel", "topic"), [("239.74.163.2", "239.74.163.2"), (None, "can7")])
 def test_topics_have_the_channel_that_was_asked_for(channel, topic, tmp_path, monkeypatch):
     begun = []
 
     def received(_: argparse.Namespace, bus: str) -> None:
         begun.append(bus)
-        raise ImucaldError("enough")
+        if len(begun) == 2:
+            raise ImucaldError("enough")
 
-    monkeypatch.setattr(feed_command, "_socket", lambda _: tmp_path / "imucald-bus.sock")
+    monkeypatch.setattr(feed_command, "_socket", lambda *_: tmp_path / "imucald-can7.sock")
     monkeypatch.setattr(feed_command, "_receiver", received)
     assert cli.main(["feed", "mqtt", *([channel] if channel else []), "--broker", "x:1"]) == 1
-    assert begun == [topic]
+    assert begun[-1] == topic
+
+
+@pytest.mark.parametrize("target", ["mqtt", "foxglove", "kuksa"])
+def test_a_feed_without_a_channel_waits_for_a_daemon(target, tmp_path, monkeypatch, capsys):
+    path, slept, begun = tmp_path / "imucald-can7.sock", [], []
+
+    def received(_: argparse.Namespace, bus: str) -> None:
+        begun.append(bus)
+        if slept:
+            raise ImucaldError("enough")
+
+    found = lambda *_: [path] if len(slept) > 2 else []  # noqa: E731
+    monkeypatch.setattr(status_command, "running_sockets", found)
+    monkeypatch.setattr(feed_command.time, "sleep", slept.append)
+    monkeypatch.setattr(feed_command, "_receiver", received)
+    assert cli.main(["feed", target]) == 1
+    assert slept == [1.0] * 3
+    assert begun[-1] == "can7"
+    assert capsys.readouterr().err.count("no running daemon found; waiting for one") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_feed_that_waits_for_a_daemon_ends_at_a_signal(number, monkeypatch):
+    monkeypatch.setattr(status_command, "running_sockets", lambda *_: [])
+    monkeypatch.setattr(feed_command.time, "sleep", lambda _: signal.raise_signal(number))
+    before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        assert cli.main(["feed", "mqtt"]) == 0
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 def test_a_receiver_that_takes_one_reading_and_goes_is_tried_later_and_later():

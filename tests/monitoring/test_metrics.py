@@ -470,6 +470,36 @@ def test_dashboard_and_rules_name_metrics_that_there_are(metrics_and_status):
     assert {name for name in named if name not in text} == set()
 
 
+def test_the_first_panel_shows_only_good_frames_that_flow(promtool, tmp_path):
+    """A daemon without input, and one that does not answer, keep their quality and their mount."""
+    expr = expressions()[0].replace("$instance", ".*").replace("$bus", ".*")
+    shown = {
+        "driving": ({"up": 1, "quality": 2, "corrected_frames_flow": 1}, 2),
+        "silent": ({"up": 1, "quality": 3, "corrected_frames_flow": 0}, 0),
+        "suspect": ({"up": 1, "quality": 4, "corrected_frames_flow": 0}, 0),
+        "dead": ({"up": 0}, -1),
+    }
+    labels = 'instance="a", bus="{}"'
+    series = [
+        {"series": f"imucald_{name}{{{labels.format(bus)}}}", "values": f"{value}x5"}
+        for bus, (values, _) in shown.items()
+        for name, value in values.items()
+    ]
+    samples = [
+        {"labels": f"{{{labels.format(bus)}}}", "value": value} for bus, (_, value) in shown.items()
+    ]
+    wanted = {"expr": expr, "eval_time": "3m", "exp_samples": samples}
+    tests = [{"interval": "1m", "input_series": series, "promql_expr_test": [wanted]}]
+    file = tmp_path / "panel.yml"
+    file.write_text(json.dumps({"tests": tests}))
+    checked(promtool, "test", "rules", str(file))
+    board = json.loads((MONITORING / "imucald-grafana.json").read_text())
+    (value,) = board["panels"][0]["fieldConfig"]["defaults"]["mappings"]
+    green = {int(n) for n, look in value["options"].items() if look["color"] == "green"}
+    assert green == {2, 3}
+    assert board["panels"][0]["targets"][0]["instant"], "an older value is none of now"
+
+
 def test_every_expression_of_the_dashboard_is_promql(promtool, tmp_path):
     rules = [
         {"record": f"x:{i}", "expr": expr.replace("$__rate_interval", "5m")}

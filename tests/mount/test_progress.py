@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
 import pytest
 
-from imucald.mount.estimate import MountState, Progress
+from imucald.mount.estimate import Gate, MountState, Progress
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.explanation import ProgressWatch
 from imucald.mount.states import MountKnowledge
@@ -58,18 +59,35 @@ def test_nothing_is_said_of_the_time_while_no_information_comes():
     assert frozen.gates[2].left is None
 
 
-FIRST = "first 32 s of driving (then more conditions)"
-
-
 def test_until_there_is_a_first_solution_its_part_that_has_come_is_shown():
     """A bar of 0 % for half a minute would say that nothing happens."""
-    shares = []
-    for blocks in range(1, 7):
-        found = progress(*[math.inf] * blocks, state=MountState.LEVELLED)
+
+    def first(blocks: int, straight: int) -> Gate:
+        found = progress(*[math.inf] * blocks, state=MountState.LEVELLED, straight=straight)
         assert found is not None
-        shares.append([(gate.name, gate.share) for gate in found.gates])
-    assert shares[:4] == [[(FIRST, pytest.approx(n / 5))] for n in range(1, 5)]
-    assert [name for name, _ in shares[5]][:3] == ["forward axis", "left axis", "up axis"]
+        (gate,) = found.gates
+        assert gate.name == "first solution (acceleration, braking, bends)"
+        assert gate.left is None, "it depends on what is driven"
+        return gate
+
+    assert [first(n, 0).share for n in range(1, 5)] == pytest.approx([n / 10 for n in range(1, 5)])
+    assert [first(9, n).share for n in range(3)] == pytest.approx([1 / 2, 2 / 3, 5 / 6])
+    assert first(9, 3).share == first(20, 9).share == 0.99
+
+
+def test_the_share_of_a_drive_does_not_fall_before_the_first_solution():
+    """A bar of 80 % was followed by five of 0 %."""
+    engine = make_engine(loaded("joint"))
+    frames, shares = drive_frames(minutes=1.0), []
+    for start in range(0, len(frames), 800):
+        engine.columns(frames.take(slice(start, start + 800)), keep=False)
+        found = engine.pipeline.estimator.estimate().progress
+        if found is not None:
+            shares.append([gate.share for gate in found.gates])
+    first = list(itertools.takewhile(lambda gates: len(gates) == 1, shares))
+    assert 4 < len(first) < len(shares)
+    assert first == sorted(first)
+    assert max(shares[len(first)]) > 0.0
 
 
 def test_a_fine_mount_waits_for_no_gate():

@@ -82,6 +82,21 @@ def test_no_bend_is_asked_for_where_no_signal_shows_turns():
     assert found["yaw"] == (NO_TURNS, Missing.TURNS)
 
 
+def test_a_speed_that_came_too_seldom_is_named_with_its_rate():
+    """'a speed' alone, next to a rate of 48/s, read as if there were none."""
+    seldom = replace(level(0.3, 1.5, 0.2), speed=False, speed_hz=48.0)
+    found = waiting_for(seldom, SETTINGS, MountState.LEVELLED)
+    assert found["yaw"] == ("a speed (48/s used in the last minute)", Missing.SPEED)
+
+
+def test_without_a_speed_only_fine_waits_for_one():
+    none = replace(level(0.3, 1.5, 0.2), speed=False, without_speed=True)
+    assert waiting_for(none, SETTINGS, MountState.USABLE)["yaw"] == ("a speed", Missing.SPEED)
+    text, code = waiting_for(none, SETTINGS, MountState.LEVELLED)["yaw"]
+    assert text.startswith("bends (")
+    assert code is Missing.TURNS
+
+
 def test_a_level_zero_that_may_drift_waits_for_bends():
     known = replace(level(0.9), std_without_drift=(0.4 * DEG, 0.9 * DEG, 0.1 * DEG))
     found = waiting_for(known, SETTINGS, MountState.USABLE)

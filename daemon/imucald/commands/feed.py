@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,8 @@ from imucald.core.libraries import how_to_install
 if TYPE_CHECKING:
     from imucald.feeds.feed_loop import Receiver
 
+WAIT_S = 1.0
+"""Pause before another search for a daemon [s]."""
 LIBRARIES = {"mqtt": "paho", "kuksa": "kuksa_client", "foxglove": "foxglove"}
 MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT, FOXGLOVE_PORT = 1883, 8883, 55555, 8765
 TARGETS = {
@@ -119,14 +123,13 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = (
         "The feed runs until Ctrl-C or SIGTERM. If the daemon or the receiver is absent, the "
-        "feed reports this and waits. docs/feeds.md lists the values that it sends."
+        "feed reports this and waits. If several daemons run and none is named, the feed ends "
+        "with exit status 1. docs/feeds.md lists the values that it sends."
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the feed until SIGINT or SIGTERM."""
-    import signal
-
     from imucald.feeds.corrected_frames import FINE, RESTORED, USABLE
     from imucald.feeds.daemon_source import DaemonSource
     from imucald.feeds.feed_loop import Feed
@@ -138,7 +141,12 @@ def run(options: argparse.Namespace) -> int:
         raise ImucaldError(f"feed {extra} needs a library: {how_to_install(extra)}")
     if not 0.1 <= options.rate <= 100.0:
         raise ImucaldError("--rate must be 0.1 to 100")
-    socket = _socket(options)
+    _receiver(options, options.channel or "bus")  # a wrong option is reported without a daemon
+    stopped: list[bool] = []
+    _on_end(lambda: stopped.append(True))
+    socket = _socket(options, lambda: bool(stopped))
+    if socket is None:
+        return 0
     receiver = _receiver(options, options.channel or bus_of(socket))
     least = {"fine": FINE, "usable": USABLE, "restored": RESTORED}[options.accept]
     source = DaemonSource(
@@ -150,8 +158,8 @@ def run(options: argparse.Namespace) -> int:
         wants_raw=options.target == "foxglove",
     )
     feed = Feed(source, receiver, 1.0 / options.rate, _say)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: setattr(feed, "stopping", True))
+    _on_end(lambda: setattr(feed, "stopping", True))
+    feed.stopping = bool(stopped)
     try:
         feed.run()
     finally:
@@ -159,13 +167,32 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _socket(options: argparse.Namespace) -> Path:
-    """Return the requested status socket. The socket of a named channel may appear later."""
+def _on_end(stop: Callable[[], None]) -> None:
+    """Call `stop` at SIGINT and SIGTERM."""
+    import signal
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop())
+
+
+def _socket(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> Path | None:
+    """Return the requested status socket; None if the feed was stopped while it waited for one.
+
+    The socket of a named channel may appear later. Without a channel it waits for any daemon.
+    """
     from imucald.commands.status import find_socket, running_sockets
     from imucald.service.asking import running_socket
 
-    if options.socket is None and options.channel and not running_sockets(options.channel):
-        return running_socket(options.channel)
+    has_waited = False
+    while options.socket is None and not running_sockets(options.channel):
+        if options.channel:
+            return running_socket(options.channel)
+        if not has_waited:
+            _say("no running daemon found; waiting for one")
+            has_waited = True
+        time.sleep(WAIT_S)
+        if is_stopped():
+            return None
     return find_socket(options.socket, options.channel)
 
 

@@ -38,8 +38,9 @@ class LiveEvent:
 class LiveEvents:
     """Collects events in `events`, oldest first.
 
-    Events that the daemon reports from earlier times get the time of the daemon's clock. Therefore
-    a monitor that is started late shows them too.
+    An event may have an earlier time than those already collected: a reason is reported only after
+    it has lasted for some time. Events that the daemon reports from earlier times get the time of
+    the daemon's clock. Therefore a monitor that is started late shows them too.
     """
 
     def __init__(self) -> None:
@@ -83,8 +84,9 @@ class LiveEvents:
                 for name in ("usable", "fine")
                 if status[f"first_{name}_s"] is not None
             ]
-        self.events.extend(sorted(found, key=lambda event: event.at))
+        self.events.extend(found)
         self._changes(status, now)
+        self.events = deque(sorted(self.events, key=lambda event: event.at), maxlen=KEPT)
 
     def _changes(self, status: Mapping[str, Any], now: float) -> None:
         state, link = str(status["state"]), str(status["link"]["state"])

@@ -50,13 +50,18 @@ def monitor_picture(
     width, height = console.size
     is_grey = is_stale(status, trouble)
     mount = list(mount_parts(status, BAR if width < BESIDE else LONG_BAR, is_grey))
-    top: list[RenderableType] = [headline(status, trouble), Padding(Group(*mount), (1, 0))]
+    top: list[RenderableType] = [headline(status, trouble), _padded(mount)]
     inputs: RenderableType = inputs_table(status, is_grey)
     wanted = (*FACTS, LEFT_OUT) if left_out_words(status["details"]) else FACTS
     below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]
     if width >= BESIDE:
+        least = _lines(console, inputs)
         left = height - _lines(console, *top, *below)
-        rows = max(left, _lines(console, inputs))
+        while left < least and len(mount) > 1:
+            mount.pop()  # the last part is the least useful
+            top[1] = _padded(mount)
+            left = height - _lines(console, *top, *below)
+        rows = max(left, least)
         shown = _fitting(console, events, rows, width - BESIDE_INPUTS)
         grid = Table.grid(padding=(0, 4))
         grid.add_column(width=BESIDE_INPUTS - 4)
@@ -68,7 +73,8 @@ def monitor_picture(
         wrong = wrong_now(status)
         below = [*([Text(f"now     {wrong}", style="red")] if wrong else []), foot]
         inputs = Text(_short(status))
-        progress = [Text(words) for words in [progress_words(status.get("progress"))] if words]
+        missing = "" if is_grey else progress_words(status.get("progress"))
+        progress = [Text(missing)] if missing else []
         while True:
             line = [] if any(isinstance(part, Table) for part in mount[1:]) else progress
             top = [headline(status, trouble), Group(*mount, *line)]
@@ -78,6 +84,10 @@ def monitor_picture(
             mount.pop()  # the last part is the least useful
     shown = _fitting(console, events, left, width)
     return Group(*top, inputs, Padding(events_table(shown), (1, 0, 0, 0)), *below)
+
+
+def _padded(mount: Sequence[RenderableType]) -> Padding:
+    return Padding(Group(*mount), (1, 0))
 
 
 def _lines(console: Console, *parts: RenderableType) -> int:

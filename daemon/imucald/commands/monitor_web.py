@@ -122,12 +122,13 @@ class LiveState:
         status = self._status
         if status is None:
             return {"trouble": self._trouble or "no answer yet"}
-        mount = status["mount"]
+        mount, stale = status["mount"], is_stale(status, self._trouble)
         return {
             "trouble": self._trouble,
             "note": self._note,
             "state": status["state"],
             "flow": asdict(flow(status)),
+            "stale": stale,
             "version": status["version"],
             "channel": status["link"]["channel"],
             "link": status["link"]["state"],
@@ -142,10 +143,11 @@ class LiveState:
             "sent": sent_words(status.get("correction")),
             "convention": ABOUT,
             "mount": [_angle(status, i) for i in range(len(ANGLES))],
-            "progress": _progress(status.get("progress")),
+            "progress": _progress(status.get("progress"), stale),
             "reasons": [
                 {"who": who, "text": text, "trouble": is_trouble(text)}
                 for who, text in reasons(status["waiting_for"])
+                if is_trouble(text) or not stale
             ],
             "inputs": [_input(status, c, row) for c, row in status["signals"].items()],
             "rejected": status["frames"]["rejected"],
@@ -185,11 +187,15 @@ def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _progress(progress: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def _progress(progress: Mapping[str, Any] | None, stale: bool) -> dict[str, Any] | None:
     if progress is None:
         return None
     gates = [
-        {**gate, "percent": percent(gate["share"]), "left": driving_left(gate["left_s"])}
+        {
+            **gate,
+            "percent": percent(gate["share"]),
+            "left": "" if stale else driving_left(gate["left_s"]),
+        }
         for gate in progress["gates"]
     ]
     return {"goal": progress["goal"], "gates": gates}

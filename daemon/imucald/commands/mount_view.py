@@ -35,34 +35,40 @@ TRY_CHECK = "run 'imucald check' on this bus or on a log: it names a wrong sign,
 def mount_parts(
     result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False, is_checked: bool = False
 ) -> Iterator[Table | Text]:
-    """Yield the table, the sensor's orientation, the missing evidence, the remaining driving, the
-    errors left in corrected frames, and "±": the least useful last.
+    """Yield the angles of the housing, the sensor's orientation, the missing evidence, the
+    remaining driving, the axes of corrected samples, "±", and the errors left in corrected samples:
+    the least useful last.
 
     result: as in docs/json.md, or a status (also of an older daemon). bar: width of bars [columns].
     is_stale: no frames flow now, so no target is shown as reached. is_checked: the reader has the
     result of `check`.
     """
     mount, progress = result["mount"], result.get("progress")
-    yield _table(result, is_stale)
+    yield _angles(result)
     for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
         if mount.get(key):
             yield Text(mount[key], style=style)
     for names, text in reasons(result["waiting_for"]):
         if is_trouble(text):
             yield Text(f"trouble      {text}", style="bold red")
-        else:
+        elif not is_stale:  # driving does not help while nothing flows
             yield Text(f"waiting for  {names}: {text}", style="yellow")
     if result.get("standing_faults") and not is_checked:
         yield Text(f"next         {TRY_CHECK}", style="yellow")
     if progress is not None:
-        yield _gates(progress, bar)
+        yield _gates(progress, bar, is_stale)
+    yield _axes(result, is_stale)
+    yield Text(ABOUT, style="dim")
     if left := sent_words(result.get("correction")):
         yield Text(f"errors left in corrected frames: {left}")
-    yield Text(ABOUT, style="dim")
 
 
-def _gates(progress: Mapping[str, Any], bar: int) -> Table:
-    """Make a bar for each missing condition, with its share and the remaining driving."""
+def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
+    """Make a bar for each missing condition, with its share and the remaining driving.
+
+    is_stale: nothing flows, so nothing is good and no time is stated.
+    """
+    unfinished, finished = ("dim", "dim") if is_stale else ("yellow", "green")
     table = Table(box=None, pad_edge=False)
     table.add_column(f"to {progress['goal']}")
     table.add_column("")
@@ -70,25 +76,32 @@ def _gates(progress: Mapping[str, Any], bar: int) -> Table:
     table.add_column("")
     for gate in progress["gates"]:
         share = ProgressBar(
-            1.0, gate["share"], bar, complete_style="yellow", finished_style="green"
+            1.0, gate["share"], bar, complete_style=unfinished, finished_style=finished
         )
-        table.add_row(gate["gate"], share, percent(gate["share"]), driving_left(gate["left_s"]))
+        left = "" if is_stale else driving_left(gate["left_s"])
+        table.add_row(gate["gate"], share, percent(gate["share"]), left)
     return table
 
 
-def _table(result: Mapping[str, Any], is_stale: bool) -> Table:
-    mount = result["mount"]
+def _angles(result: Mapping[str, Any]) -> Table:
+    """Make the table of the housing: its angles, each with its ±."""
     table = Table(box=None, pad_edge=False)
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
     table.add_column("± 95 %", justify="right", min_width=7)
-    table.add_column("")  # a gap between the mount and the criteria of the state
-    table.add_column("turn about", min_width=12)
+    for angle in ANGLES:
+        table.add_row(angle, *angle_cells(result["mount"], angle))
+    return table
+
+
+def _axes(result: Mapping[str, Any], is_stale: bool) -> Table:
+    """Make the table of corrected samples: the ± about each axis by which the state is judged."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("corrected", min_width=12)
     table.add_column("± 95 %", justify="right", min_width=7)
     table.add_column("target")
-    for angle, axis, turn in zip(ANGLES, "xyz", VEHICLE_AXES, strict=True):
-        std = judged_std(mount, axis)
+    for axis, turn in zip("xyz", VEHICLE_AXES, strict=True):
         words, is_reached = target_words(result, axis)
         text = Text(words, style="dim" if is_stale else "green" if is_reached else "")
-        table.add_row(angle, *angle_cells(mount, angle), "", turn, plus_minus(std), text)
+        table.add_row(turn, plus_minus(judged_std(result["mount"], axis)), text)
     return table

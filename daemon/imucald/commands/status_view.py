@@ -23,6 +23,7 @@ from imucald.mount.mount_words import (
     progress_words,
     reasons,
 )
+from imucald.mount.states import HARD_ACCEL, HARD_TURN
 from imucald.runtime.drive_events import STATE_WORDS
 from imucald.runtime.flow import FlowKind, flow, is_starting, present_alarms
 from imucald.service.asking import BusyError
@@ -45,15 +46,18 @@ FLOW_STYLES = {
     FlowKind.NONE: "bold white on red",
 }
 SILENT = frozenset({FlowKind.NONE, FlowKind.STARTING})
+HARD = f"above {HARD_ACCEL:g} m/s²"
+HARD_BENDS = f"above {HARD_TURN:g} m/s²"
 EVIDENCE = {
-    "launches_and_brakings": ("launch or braking", "launches and brakings"),
+    "launches_and_brakings": (f"launch or braking {HARD}", f"launches and brakings {HARD}"),
     "manoeuvres": ("manoeuvre", ""),
-    "left_turns": ("left turn", ""),
-    "right_turns": ("right turn", ""),
+    "left_turns": (f"left turn {HARD_BENDS}", f"left turns {HARD_BENDS}"),
+    "right_turns": (f"right turn {HARD_BENDS}", f"right turns {HARD_BENDS}"),
     "stops": ("stop", ""),
     "off_vertical": ("restart", "restarts"),
 }
-"""Names of the kinds of evidence, singular and plural."""
+"""Names of the kinds of evidence, singular and plural. Softer driving is evidence too, and is not
+counted."""
 
 SHARE_SHOWN = 0.05
 _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
@@ -72,6 +76,8 @@ def short(status: Mapping[str, Any]) -> str:
 
 
 def _still_missing(status: Mapping[str, Any]) -> list[str]:
+    if flow(status).kind is FlowKind.NONE:  # driving does not help while nothing flows
+        return []
     waits = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
     progress = progress_words(status.get("progress"))
     return waits + [progress] * bool(progress)

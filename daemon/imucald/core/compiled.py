@@ -82,8 +82,7 @@ def slow_words() -> str:
         return ""
     return (
         f"slow: the compiled part is missing ({state}). Results are the same, but a replay "
-        "takes about 15 times as long. Install gcc and python3-dev, then install imucald "
-        "again"
+        "takes several times as long. Install gcc and python3-dev, then install imucald again"
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,13 @@ from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch, Payloads
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, DecodePlan
 from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
 from imucald.core.arrays import distinct
-from imucald.inputs.expression import Expression
 from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.sign_bit import SignBit
 from imucald.inputs.taps import Columns, Physical, Raw, Tap
+
+if TYPE_CHECKING:
+    from imucald.inputs.expression import Expression
 
 Carried = FrameColumns | Payloads
 """Frames (N,). A route reads only their payloads."""

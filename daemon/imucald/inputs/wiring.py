@@ -22,7 +22,6 @@ from imucald.can.e2e.protection import MessageChecker
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.conversion import Conversion
-from imucald.inputs.expression import Expression
 from imucald.inputs.quantities import Place, Wanted, wanted_numbers
 from imucald.inputs.router import Router
 from imucald.inputs.routes import SENSORS, MessageRoute, RawRoute, SignalRoute, is_of_any_sender
@@ -318,6 +317,8 @@ def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, fl
 def _raw_route(
     loaded: LoadedConfig, databases: Sequence[LoadedDatabase], wanted: Wanted, raw: cfg.RawSource
 ) -> RawRoute:
+    from imucald.inputs.expression import Expression  # noqa: PLC0415 - few have a raw source
+
     if wanted.planar:
         raise loaded.error(wanted.place, SPLIT_PLANAR)
     try:

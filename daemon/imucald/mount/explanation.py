@@ -226,7 +226,14 @@ LONGEST_S = 3600.0
 GOALS = (MountState.USABLE, MountState.FINE)
 FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
 """Signals that a first solution needs [s]: two windows."""
+<<<<<<< HEAD
 FIRST = f"first {FIRST_S:.0f} s of driving (then more conditions)"
+=======
+FIRST = "first solution (acceleration, braking, bends)"
+"""The only gate before a first solution: until then no axis has a share that could grow."""
+FIRST_SHARE_MAX = 0.99
+"""Without a solution, its gate is not complete."""
+>>>>>>> audit
 
 
 class ProgressWatch:
@@ -261,8 +268,8 @@ class ProgressWatch:
             return None
         is_learning = known.accelerometer and not known.frozen
         now, shares = self._lately[-1]
-        if now < FIRST_S and not any(shares[goal][axis] for axis in VEHICLE_AXES):
-            return Progress(goal, (Gate(FIRST, now / FIRST_S, FIRST_S - now),))
+        if not any(shares[goal][axis] for axis in VEHICLE_AXES):
+            return Progress(goal, (Gate(FIRST, _of_first_solution(now, known), None),))
         gates = [
             Gate(name, share, self._left(goal, name, now, share) if is_learning else None)
             for name, share in shares[goal].items()
@@ -283,6 +290,14 @@ class ProgressWatch:
             return None
         left = (1.0 - share) * (now - began) / grown
         return left if left <= LONGEST_S else None
+
+
+def _of_first_solution(now: float, known: MountKnowledge) -> float:
+    """Return the share of what a first solution needs: one half for the time, one for the changes
+    of speed.
+    """
+    met = min(now / FIRST_S, 1.0) + min(known.straight / NEEDED, 1.0)
+    return min(met / 2.0, FIRST_SHARE_MAX)
 
 
 def _of_angles(

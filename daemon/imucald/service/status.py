@@ -16,7 +16,6 @@ from typing import Any
 from imucald.core.text import json_text
 from imucald.service.background_writer import Say
 from imucald.service.line_server import LineServer, nobody_listens
-from imucald.service.metrics import metrics_text
 
 READABLE_BY_ALL = 0o666
 """Permissions of the socket: it answers questions and takes no orders."""
@@ -53,12 +52,17 @@ class StatusServer(LineServer):
         if line.partition(" ")[0] == "history":
             return self._history(since(line.partition(" ")[2])).encode()
         if line == "metrics":
-            return metrics_text(self._status()).encode()
+            return self._metrics()
         if line.startswith("GET "):
             if line.split()[1:2] == ["/metrics"]:
-                return _http("200 OK", metrics_text(self._status()).encode())
+                return _http("200 OK", self._metrics())
             return _http("404 Not Found", b"only /metrics is here\n")
         return b"error: ask for status, events, history or metrics\n"
+
+    def _metrics(self) -> bytes:
+        from imucald.service.metrics import metrics_text  # noqa: PLC0415 - few ask for metrics
+
+        return metrics_text(self._status()).encode()
 
 
 def status_json(status: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ const mountRow = (m) => `<tr><td>${m.name}</td><td class="n">${m.value}</td><td 
 
 const turnRow = (m) => `<tr><td class="turn">${m.turn}</td><td class="n">${m.left}</td><td class="${m.reached ? "good" : ""}">${m.target}</td></tr>`;
 
-const gateRow = (g) => `<tr><td>${escaped(g.gate)}</td><td class="bar"><div><i class="${g.share < 1 ? "" : "good"}" style="width:${100 * g.share}%"></i></div></td>` +
+const gateRow = (g, stale) => `<tr><td>${escaped(g.gate)}</td><td class="bar"><div><i class="${stale ? "stale" : g.share < 1 ? "" : "good"}" style="width:${100 * g.share}%"></i></div></td>` +
   `<td class="n">${g.percent}</td><td>${g.left}</td></tr>`;
 
 function inputRow(r) {
@@ -119,7 +119,7 @@ function show(live) {
   byId("reasons").innerHTML = live.reasons.map((r) => r.trouble ? `<li class="bad">trouble: ${escaped(r.text)}</li>` : `<li class="waits">waiting for ${escaped(r.who)}: ${escaped(r.text)}</li>`).join("");
   byId("convention").textContent = `${live.convention}.`;
   byId("progress").hidden = !live.progress;
-  if (live.progress) { byId("goal").textContent = `To ${live.progress.goal}`; byId("gates").innerHTML = live.progress.gates.map(gateRow).join(""); }
+  if (live.progress) { byId("goal").textContent = `To ${live.progress.goal}`; byId("gates").innerHTML = live.progress.gates.map((g) => gateRow(g, live.stale)).join(""); }
   byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
   byId("frames").className = f.conflicts ? "bad" : "";
