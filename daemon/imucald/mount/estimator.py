@@ -307,23 +307,23 @@ class JointEstimator:
     def _learn_from(self, p: SignalBlock) -> None:
         """Steps 2 to 5."""
         carried, signals, changes = self._carried, self._signals, self._changes
-        watched = self._watched
+        is_watched = self._watched is not None
         self._now = float(p.t[-1])
         self._kept.append(p)
         self._driven.add(*carried.add(p))
         self._follow_steering(p)
         turned = None
         if carried.R is not None:
-            turned = changes.at_once(p, carried, signals, tilts=watched is None)
+            turned = changes.at_once(p, carried, signals, is_watched)
         if turned is not None:  # moved by hand: no sign and no unit is contradicted
             self._checks.forget_forces()
         elif self._checks.add(p, carried, signals, self._kept, self._fits_no_sensor):
             self._begin_without_rotation([p])
         self._solve_with(p)
         self._follow_creep()
-        if not self._look_for_large_change(p, turned, watched is None):
+        if not self._look_for_large_change(p, turned, is_watched):
             change: MountChange | None = self._sudden_change()
-            if change is None and not self._checks.is_motion_accused:
+            if change is None and self._sudden <= 0.0 and not self._checks.is_motion_accused:
                 change = self._small_change()
             if change is not None:
                 self._take_change(change)
@@ -426,11 +426,11 @@ class JointEstimator:
         return self._steering.fitted(s.crown, 1.5 * s.vehicle.crown_std)
 
     def _look_for_large_change(
-        self, p: SignalBlock, turned: LargeChange | None, is_alone: bool
+        self, p: SignalBlock, turned: LargeChange | None, is_watched: bool
     ) -> bool:
         """Look for a rotation by several degrees, and for gravity far from the vertical.
 
-        turned: result of the block alone. is_alone: no filter tests for sudden changes. Returns
+        turned: result of the block alone. is_watched: a filter tests for sudden changes. Returns
         True if there was a change, which is then handled.
         """
         carried, changes = self._carried, self._changes
@@ -447,7 +447,7 @@ class JointEstimator:
                 self._begin_without_rotation()
                 self._served.has_moved = self.correction is not None
             return turned is not None
-        found = changes.large(carried) if turned is None and is_alone else turned
+        found = changes.large(carried, is_watched) if turned is None else turned
         if found is not None:
             self._take_change(found)
         return found is not None

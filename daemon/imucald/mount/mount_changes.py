@@ -60,6 +60,10 @@ ALERT_DEVIATIONS = 4.0
 """
 
 
+MOST_TILT = 0.35
+"""Largest change of gravity that a zero of the accelerometer can cause [rad]: 350 mg."""
+
+
 class GoodMount(Struct, frozen=True):
     """R: R_vehicle_from_sensor, by rows; std: deviations about the vehicle's axes (3,) [rad]."""
 
@@ -113,16 +117,15 @@ class MountChanges:
         self.borne = np.zeros(3)
 
     def at_once(
-        self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker, tilts: bool
+        self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker, is_watched: bool
     ) -> LargeChange | None:
         """Return a rotation that this block alone shows: while standing, or by the gyroscope alone.
 
-        carried: has a rotation, and has already taken the block. tilts: a tilt counts too, since no
-        filter could tell it from a step of a zero.
+        carried: has a rotation, and has already taken the block. is_watched: as in `large`.
         """
         assert carried.R is not None
         change = self._large.while_standing(p, carried.R)
-        if change is not None and change.axis < 2 and not tilts:
+        if is_watched and _may_be_zero(change):
             change = None
         if change is None and carried.own_gyro and not signals.without_speed:
             motion = carried.motion(p, carried.R)
@@ -138,9 +141,13 @@ class MountChanges:
         motion = carried.motion(p, carried.R)
         self._large.add(sums, use, carried.R, motion, carried.gains, *has)
 
-    def large(self, carried: CarriedForce) -> LargeChange | None:
-        """Return a rotation by several degrees within the last blocks."""
-        return self._large.found(with_yaw=carried.own_gyro)
+    def large(self, carried: CarriedForce, is_watched: bool) -> LargeChange | None:
+        """Return a rotation by several degrees within the last blocks.
+
+        is_watched: the filter of `joint.steps` runs, which tells a tilt from a step of a zero.
+        """
+        found = self._large.found(with_yaw=carried.own_gyro)
+        return None if is_watched and _may_be_zero(found) else found
 
     @staticmethod
     def is_bearable(found: MountChange, std: float) -> bool:
@@ -206,6 +213,11 @@ class MountChanges:
     def turns(self, now: GoodMount | None) -> list[tuple[Array, Array] | None]:
         """Return `TakenChange.turn` of each change. now: the mount that is good now."""
         return [one.turn(now if one is self._open else None) for one in self.history]
+
+
+def _may_be_zero(found: LargeChange | None) -> bool:
+    """True if a rotation may be a step of a zero."""
+    return found is not None and found.axis < 2 and abs(found.size) < MOST_TILT
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:

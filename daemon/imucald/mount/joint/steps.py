@@ -30,13 +30,15 @@ MOST_ONSETS = 10
 """Onsets that are tested: the beginnings of the last blocks (64 s). An open question keeps its
 onset for longer.
 """
-BELIEVED: Final = math.log(100.0)
-"""Log of the odds from which one cause is believed: one in a hundred is wrong."""
+BELIEVED: Final = math.log(1000.0)
+"""Log of the odds from which one cause is believed: the first order and a level road are not exact,
+and a wrong answer costs minutes.
+"""
 LEAST_BLOCKS = 3
 """Blocks since the onset from which the cause is decided: the change may lie at the end of the
 first.
 """
-TURNED_STD, ZERO_STD = 0.1, 1.0
+TURNED_STD, ZERO_STD = 0.1, 0.5
 """Prior deviations of a turn about each axis [rad], and of a step of each zero [m/s^2]: most turns
 by hand are by some degrees; a step is a fault from some tens of mg on.
 """
@@ -78,13 +80,9 @@ class Hypothesis(NamedTuple):
 
 
 TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
-STEPS_SHARE = 0.1
-"""Share of steps of a zero among sudden changes: hands reach every sensor, and few are faulty
-(assumption).
-"""
-NOT_FELT: Final = Hypothesis(slice(0, 4), TURNED_STDS, 0.5 * (1.0 - STEPS_SHARE))
-FELT: Final = Hypothesis(slice(4, 8), TURNED_STDS, 0.5 * (1.0 - STEPS_SHARE))
-STEPPED: Final = Hypothesis(slice(8, 11), np.full(3, ZERO_STD), STEPS_SHARE)
+NOT_FELT: Final = Hypothesis(slice(0, 4), TURNED_STDS, 0.25)
+FELT: Final = Hypothesis(slice(4, 8), TURNED_STDS, 0.25)
+STEPPED: Final = Hypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5)
 GRADE: Final = Hypothesis(slice(11, 13), np.array([0.05, 0.03]), 1.0)
 """A long grade or bank, which changes the mean vertical of the road alone: 10 % is a steep mountain
 road, 6 % a steep superelevation (two deviations).
