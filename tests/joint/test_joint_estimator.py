@@ -240,6 +240,7 @@ def test_fine_waits_until_the_signals_agree() -> None:
     acceptance = Acceptance(
         checks,
         changes,
+        is_gravity_open=False,
         is_delay_beyond=False,
         has_speed=True,
         has_speed_now=True,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,10 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.explanation import change_details
-from imucald.mount.gravity_step import GravityStep
 from imucald.mount.hysteresis import BAD
 from imucald.mount.joint.moves import Move
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import GoodMount, MountChanges, blocks_since
+from imucald.mount.mount_changes import GoodMount, MountChanges, SuddenTurn, blocks_since
 from imucald.mount.mount_words import change_words, is_move
 from imucald.mount.signal_blocks import BLOCK_S
 from imucald.simulation import random_model, simulate
@@ -38,38 +36,24 @@ def shift(axis: int, degrees: float) -> Move:
     return Move(axis, degrees * DEG, math.copysign(5.0, degrees), 16, 1.0)
 
 
-def carried(own_gyro: bool = True) -> Any:
-    """What is asked of the carried force."""
-    return SimpleNamespace(own_gyro=own_gyro)
-
-
 @pytest.mark.parametrize(
     ("degrees", "std", "bearable"),
     [(0.9, 0.1, True), (1.1, 0.1, False), (-1.1, 0.3, True), (-1.3, 0.3, False)],
 )
 def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, std, bearable):
-    assert changes().is_bearable(shift(YAW, degrees), carried(), std * DEG) is bearable
+    assert changes().is_bearable(shift(YAW, degrees), std * DEG) is bearable
 
 
-def test_a_sudden_tilt_that_may_be_a_stepped_zero_is_not_borne():
-    """No deviation of the mount covers an accelerometer that is wrong; a shift shows slowly."""
-    std, wide = 2.0 * DEG, carried()
-    for sudden in (GravityStep(PITCH, 3.0 * DEG, 9.0, 5), LargeChange(PITCH, 3.0 * DEG, 9.0, 5)):
-        assert not changes().is_bearable(sudden, wide, std)
-        assert changes().is_bearable(sudden, carried(own_gyro=False), std), "nobody could tell"
-    within = GravityStep(PITCH, 2.0 * DEG, 9.0, 5)
-    assert changes().is_bearable(within, wide, std), "within a zero's"
-    assert changes().is_bearable(LargeChange(YAW, 3.0 * DEG, 9.0, 5), wide, std)
-    assert changes().is_bearable(shift(PITCH, 3.0), wide, std)
-
-
-def test_what_comes_after_a_step_leaves_out_the_blocks_that_may_hold_it():
-    """Its time is known to a block either way."""
+@pytest.mark.parametrize(
+    "change",
+    [
+        SuddenTurn(PITCH, 3.0 * DEG, 9.0, 5, np.array([0.0, 3.0 * DEG, 0.0])),
+        LargeChange(PITCH, 3.0 * DEG, 9.0, 5),
+    ],
+)
+def test_what_comes_after_a_change_leaves_out_the_block_that_may_hold_it(change):
     kept = [block(BLOCK_S * k) for k in range(12)]
-    after = blocks_since(GravityStep(PITCH, 3.0 * DEG, 9.0, 5), kept)
-    assert [p.t[0] for p in after] == [p.t[0] for p in kept[-3:]]
-    after = blocks_since(LargeChange(PITCH, 3.0 * DEG, 9.0, 5), kept)
-    assert [p.t[0] for p in after] == [p.t[0] for p in kept[-4:]]
+    assert [p.t[0] for p in blocks_since(change, kept)] == [p.t[0] for p in kept[-4:]]
 
 
 def good(R: Any, std_deg: float = 0.5) -> GoodMount:

@@ -18,6 +18,7 @@ from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.joint.evidence import Evidence
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from mount_settings import joint_settings
 
@@ -241,8 +242,12 @@ def test_a_creeping_mount_is_named_and_its_interval_holds():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", ["step", "add"])
-def test_a_factorisation_that_fails_is_counted_and_suspect_and_ends_nothing(monkeypatch, step):
+@pytest.mark.parametrize(
+    ("owner", "method"), [(Evidence, "step"), (CarriedForce, "add")], ids=["evidence", "force"]
+)
+def test_a_factorisation_that_fails_is_counted_and_suspect_and_ends_nothing(
+    monkeypatch, owner, method
+):
     estimator = JointEstimator(joint_settings())
     rows = ticks_from_samples(drive().samples, 0, 3000, {}).tolist()
     for row in rows[:2000]:
@@ -253,7 +258,7 @@ def test_a_factorisation_that_fails_is_counted_and_suspect_and_ends_nothing(monk
         raise np.linalg.LinAlgError("Singular matrix")
 
     with monkeypatch.context() as patched:
-        patched.setattr(CarriedForce, step, fails)
+        patched.setattr(owner, method, fails)
         for row in rows[2000:2200]:
             estimator.step(row)
     assert estimator.state is MountState.SUSPECT

@@ -13,8 +13,7 @@ from imucald.core.samples import GRAVITY
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator_settings import LEVEL, EstimatorSettings
-from imucald.mount.explanation import mount_troubles
-from imucald.mount.force_level import LevelChange
+from imucald.mount.explanation import LevelChange, mount_troubles
 from imucald.mount.mount_words import (
     change_words,
     half_width,
@@ -48,7 +47,7 @@ def test_an_interval_of_95_percent_is_two_deviations_and_holds_as_often():
 
 def test_sizes_of_gravity_stand_behind_what_they_belong_to():
     faults = [StandingFault.ACCEL_LEVEL, StandingFault.NUMERICS]
-    level = LevelChange(9.78, 10.13, 5)
+    level = LevelChange(9.78, 10.13)
     text = mount_troubles(MountState.SUSPECT, faults, {}, (), level)["yaw"]
     sized = f"{WORDS[StandingFault.ACCEL_LEVEL]} (9.78 to 10.13 m/s^2)"
     assert text == f"{sized}; {WORDS[StandingFault.NUMERICS]}"

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import Contradictions, StandingFault
-from imucald.mount.gravity_observer import GravityObserver
-from imucald.mount.gravity_step import GravityStep
 from imucald.mount.gyro_walk import sampling_walk
 from imucald.mount.large_change import FORCE, TurnedAlone
 from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
@@ -69,53 +66,6 @@ def test_blocks_say_how_far_the_angle_walks(spacing: float, walks: bool) -> None
         assert 0.3 < np.trace(found[-1]) / (3.0 * expected) < 3.0
     else:
         assert not found[-1].any()
-
-
-def seldom_sampled(
-    seed: int, is_stated: bool, turned: Array | None = None, rough_from: int = 91
-) -> list[GravityStep | None]:
-    """Level road, a gyroscope that holds shaking as if it were turning, 13 minutes.
-
-    is_said: whether blocks say what walk that makes. turned: of the sensor, after 100 blocks.
-    rough_from: the block from which the road is rough.
-    """
-    rng = np.random.default_rng(seed)
-    tracker, found = GravityObserver(), []
-    R_moved = np.eye(3) if turned is None else rotation_from_vector(turned)
-    ticks = 0.1 * np.arange(BLOCK_TICKS)
-    times = SPACING * np.arange(-1, 29)
-    for k in range(120):
-        size = SHAKING if k >= rough_from else 0.1 * SHAKING
-        samples = size * rng.standard_normal((len(times), 3))
-        rate = np.column_stack([np.interp(ticks, times, samples[:, i]) for i in range(3)])
-        force = np.tile([0.0, 0.0, GRAVITY], (BLOCK_TICKS, 1))
-        force += 0.05 * rng.standard_normal(force.shape)
-        if k >= 100:
-            force = force @ R_moved
-        walk = (
-            sampling_walk(times, samples, np.ones(len(times)), ACCEL_GAP)
-            if is_stated
-            else np.zeros((3, 3))
-        )
-        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=walk)
-        tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), np.zeros(3), sure=True)
-        found.append(tracker.steps.found(np.eye(3)))
-    return found
-
-
-def test_a_walk_of_the_vertical_is_no_step_in_gravity() -> None:
-    wrong = [any(seldom_sampled(seed, is_stated=False)) for seed in range(4)]
-    right = [any(seldom_sampled(seed, is_stated=True)) for seed in range(4)]
-    assert any(wrong), "without the walk this is taken for a step, else the test shows nothing"
-    assert not any(right)
-
-
-def test_a_step_far_beyond_the_walk_is_still_found() -> None:
-    found = seldom_sampled(
-        1, is_stated=True, turned=np.array([math.radians(15.0), 0.0, 0.0]), rough_from=999
-    )
-    assert not any(found[:100])
-    assert any(found[100:])
 
 
 def bends(noise: float, sign: float) -> tuple[StandingFault, ...]:

@@ -14,7 +14,6 @@ from imucald.core.text import counted
 from imucald.mount.alternatives import NOT_CONFIRMED
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
-from imucald.mount.zero_step import GravityMoved
 
 NO_SIDES = (
     "a yaw rate, steering angle, lateral acceleration or heading, or 'calibration: {orientation: "
@@ -46,6 +45,7 @@ LATE_SPEED = (
 class Acceptance(Struct, frozen=True):
     """Checks of an estimate with the present evidence.
 
+    is_gravity_open: it is not known yet whether the sensor was turned or a zero stepped.
     is_delay_beyond: the delay of the speed may be larger than any that is searched. has_speed: a
     speed has come in this drive. has_speed_now: one came in the last minute.
     Without a speed no test shows that the sensor turns in yaw, so the mount is *usable* at most.
@@ -56,6 +56,7 @@ class Acceptance(Struct, frozen=True):
 
     checks: SignalChecks
     changes: MountChanges
+    is_gravity_open: bool
     is_delay_beyond: bool
     has_speed: bool
     has_speed_now: bool
@@ -68,7 +69,7 @@ class Acceptance(Struct, frozen=True):
             return None
         if self.is_delay_beyond:
             return LATE_SPEED
-        if self.changes.zero.cause is GravityMoved.UNKNOWN:
+        if self.is_gravity_open:
             return WHY_GRAVITY_MOVED
         return self._missing_of_signals()
 

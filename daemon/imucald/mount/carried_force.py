@@ -20,7 +20,6 @@ from imucald.mount.block_sums import BlockMotion
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.gravity_observer import GravityObserver
-from imucald.mount.gravity_step import GravityStep
 from imucald.mount.joint.evidence import Evidence
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
@@ -74,10 +73,14 @@ class CarriedForce:
         """Variance of the angle that each kind of evidence shows alone [rad^2]."""
         self.blocks = 0
 
-    def start_from(self, other: CarriedForce) -> None:
-        """Begin with the rotation, gains, zero and delay of another one."""
+    def start_from(self, other: CarriedForce, turn: Array | None = None) -> None:
+        """Begin with the rotation, gains, zero and delay of another one.
+
+        turn: rotation vector (3,) of the sensor since, in vehicle axes [rad].
+        """
         self.R, self.gains, self.bias, self.delay = other.R, other.gains, other.bias, other.delay
-        self.vertical.steps.start_from(other.vertical.steps)
+        if turn is not None and self.R is not None:
+            self.R = rotation_from_vector(turn) @ self.R
 
     def gap(self) -> None:
         """Note a jump of time."""
@@ -111,7 +114,7 @@ class CarriedForce:
             planned[:, 0] = self.gains[0] * p.accel * p.ok_speed
             planned[:, 1] = self.gains[1] * turn * p.ok_speed
             motion = planned @ R
-        self.lone = self.vertical.advance(p, motion, self.bias, self.is_sure)
+        self.lone = self.vertical.advance(p, motion, self.bias)
         self.gravity.add(p, turn)
         self.turn_rate = r
         use = p.learn & p.ok_speed
@@ -132,17 +135,6 @@ class CarriedForce:
             return np.asarray(p.rate @ up)
         self.own_gyro = False
         return p.yaw_rate * p.ok_yaw
-
-    def step(self, is_good: bool) -> GravityStep | None:
-        """Return a step in gravity in the last minute that the gyroscope did not see.
-
-        This is called for every block.
-
-        is_good: R is served as good.
-        """
-        if self.R is None or not self.is_sure or not self.own_gyro:
-            return None
-        return self.vertical.steps.found(self.R, is_good)
 
     def levelled(self, zero_std: float) -> tuple[Matrix3, Array] | None:
         """Return the rotation that gravity alone shows, and its variances about x and y; None

@@ -6,12 +6,12 @@ Order of the steps:
 with a flag that says whether it is usable (`motion.signal_health`).
 2. `CarriedForce` carries the vertical through the block and removes it from the force.
 3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
-   the search start again. `ForceLevel` compares the size of gravity with its own past.
+   the search start again.
 4. `Evidence` takes the block and, when enough has come, solves for all unknowns (`joint.state`).
-5. `MountChanges` and `joint.moves` compare the block with what was known before it. If the sensor
-   was moved, the mount becomes suspect and the evidence begins again with the data after the move.
-   If the move misleads no consumer, it is reported, and the deviation covers it until the evidence
-   after it is enough.
+5. `joint.steps`, `joint.moves` and `MountChanges` compare the block with what was known before it.
+   If the sensor was moved, the mount becomes suspect and the evidence begins again with the data
+   after the move. If the move misleads no consumer, it is reported, and the deviation covers it
+   until the evidence after it is enough.
 6. `ServedMount` gives the state, with hysteresis, and follows a good correction without a jump.
    `MountEstimate` reports all of it, and what each angle waits for.
 
@@ -24,12 +24,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 from msgspec.structs import replace
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, inverse
 from imucald.core.rotations import Matrix3, orthonormalised, rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.drive.unknown_speed import Steered
@@ -41,6 +41,7 @@ from imucald.mount.creep import Creep
 from imucald.mount.estimate import Correction, MountEstimate, MountState, SentDeviations
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.explanation import (
+    LevelChange,
     ProgressWatch,
     creep_details,
     estimate_details,
@@ -49,16 +50,23 @@ from imucald.mount.explanation import (
     mount_troubles,
     waiting_reasons,
 )
-from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.joint.drift import NAMED, Drift
 from imucald.mount.joint.drift import NONE as NO_DRIFT
-from imucald.mount.joint.drift import Drift
 from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
+from imucald.mount.joint.steps import TURNED_STD, Step
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import GoodMount, MountChange, MountChanges, blocks_since
+from imucald.mount.mount_changes import (
+    ALERT_LIMIT,
+    GoodMount,
+    MountChange,
+    MountChanges,
+    SuddenTurn,
+    blocks_since,
+)
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.served_mount import ServedMount
 from imucald.mount.signal_blocks import (
@@ -71,7 +79,6 @@ from imucald.mount.signal_blocks import (
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.states import Manoeuvres, MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
-from imucald.mount.zero_step import GravityMoved
 
 KEPT_BLOCKS = 55
 """Blocks that are stored: 350 s."""
@@ -124,7 +131,9 @@ class JointEstimator:
         self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
-        self._level = ForceLevel()
+        self._stepped = np.zeros(3)  # change of the zero in this drive, sensor axes [m/s^2]
+        self._level: LevelChange | None = None
+        self._is_gravity_open, self._sudden = False, -math.inf  # log odds of a sudden change
         self._lately: deque[tuple[int, ...]] = deque(maxlen=MINUTE_BLOCKS)
         self._off_vertical = self._failed_for = 0
         self._known_before: KnownSensor | None = None
@@ -204,8 +213,6 @@ class JointEstimator:
         self._signals.restart()
         self._kept.clear()
         self._carried.gap()
-        self._level.gap()
-        self._changes.zero.restart()
         self._taken_until = -math.inf
         self._joint.gap()
         if self._next is not None:
@@ -300,23 +307,23 @@ class JointEstimator:
     def _learn_from(self, p: SignalBlock) -> None:
         """Steps 2 to 5."""
         carried, signals, changes = self._carried, self._signals, self._changes
+        is_watched = self._watched is not None
         self._now = float(p.t[-1])
         self._kept.append(p)
         self._driven.add(*carried.add(p))
         self._follow_steering(p)
-        vertical = carried.vertical
-        if (carried.is_sure and vertical.is_held) or p.rest.all():  # it is free of the motion
-            self._level.add(p, vertical.up)
-        turned = changes.at_once(p, carried, signals) if carried.R is not None else None
+        turned = None
+        if carried.R is not None:
+            turned = changes.at_once(p, carried, signals, is_watched)
         if turned is not None:  # moved by hand: no sign and no unit is contradicted
             self._checks.forget_forces()
         elif self._checks.add(p, carried, signals, self._kept, self._fits_no_sensor):
             self._begin_without_rotation([p])
         self._solve_with(p)
         self._follow_creep()
-        if not self._look_for_large_change(p, turned):
-            change: MountChange | None = self._carried.step(self._is_rotation_good)
-            if change is None and not self._checks.is_motion_accused:
+        if not self._look_for_large_change(p, turned, is_watched):
+            change: MountChange | None = self._sudden_change()
+            if change is None and self._sudden <= 0.0 and not self._checks.is_motion_accused:
                 change = self._small_change()
             if change is not None:
                 self._take_change(change)
@@ -339,6 +346,8 @@ class JointEstimator:
         if target is not self._joint and not self._joint.signals.speed:  # the speed may stay away
             self._joint.add(_block(p, self._joint.signals))
             _is_solved(self._joint)
+        if self._sudden > 0.0:  # a solution would mix what was before the change with what is after
+            return
         if not _is_solved(target):
             self._fits_no_sensor, self._carried.is_sure = True, False
             if target is self._next:
@@ -349,8 +358,6 @@ class JointEstimator:
         if target is self._joint:
             self._remember(self._now)
         elif self._is_usable(target.solution):
-            if not self._joint.signals.speed:
-                self._carried.vertical.settle()
             self._joint, self._next = target, None
             self._forget_moves()
             self._changes.know_borne()
@@ -395,15 +402,6 @@ class JointEstimator:
         if solution is not None and (not lately or lately[-1][1] is not solution):
             lately.append((t, solution))
 
-    @property
-    def _is_rotation_good(self) -> bool:
-        """True if gravity can be compared with the rotation.
-
-        With a known sensor, the state becomes good early. The test for a step in gravity then waits
-        until it knows the usual spread of this drive.
-        """
-        return self.state in GOOD and self._known_before is None
-
     def _known_mount(self) -> MountSoFar | None:
         """Return the mount that is used to check a speed that stays constant."""
         carried = self._carried
@@ -427,11 +425,13 @@ class JointEstimator:
         s = self._settings
         return self._steering.fitted(s.crown, 1.5 * s.vehicle.crown_std)
 
-    def _look_for_large_change(self, p: SignalBlock, turned: LargeChange | None) -> bool:
+    def _look_for_large_change(
+        self, p: SignalBlock, turned: LargeChange | None, is_watched: bool
+    ) -> bool:
         """Look for a rotation by several degrees, and for gravity far from the vertical.
 
-        turned: result of the block alone. Returns True if there was a change, which is then
-        handled.
+        turned: result of the block alone. is_watched: a filter tests for sudden changes. Returns
+        True if there was a change, which is then handled.
         """
         carried, changes = self._carried, self._changes
         if carried.R is None:
@@ -447,10 +447,49 @@ class JointEstimator:
                 self._begin_without_rotation()
                 self._served.has_moved = self.correction is not None
             return turned is not None
-        found = changes.large(carried) if turned is None else turned
+        found = changes.large(carried, is_watched) if turned is None else turned
         if found is not None:
             self._take_change(found)
         return found is not None
+
+    @property
+    def _watched(self) -> Evidence | None:
+        """The evidence whose filter tests for sudden changes, once its solution can be used."""
+        evidence = self._next or self._joint
+        is_possible = evidence.signals.gyro and evidence.signals.speed
+        if not is_possible or self._checks.is_motion_accused:
+            return None
+        return evidence if self._is_usable(evidence.solution) else None
+
+    def _sudden_change(self) -> SuddenTurn | None:
+        """Return a sudden turn of the sensor that is certain; take a step of a zero."""
+        evidence, self._is_gravity_open, self._sudden = self._watched, False, -math.inf
+        step = None if evidence is None else evidence.step()
+        if evidence is None or step is None or not step.is_certain:
+            return None
+        turn = SuddenTurn.of(step)
+        if abs(turn.size) < (ALERT_LIMIT if step.is_turn else NAMED / GRAVITY):
+            return None
+        self._sudden = step.log_odds
+        if not step.is_decided:
+            self._is_gravity_open = not self._changes.is_bearable(turn, max(self._misleading()))
+            return None
+        if step.is_turn:
+            return turn
+        self._take_zero_step(evidence, step)
+        return None
+
+    def _take_zero_step(self, evidence: Evidence, step: Step) -> None:
+        """Add a step of the accelerometer's zero to those of this drive.
+
+        Only the blocks after it count, as the evidence knows one zero.
+        """
+        self._stepped += inverse(evidence.watch_axes) @ step.size
+        self._level = LevelChange(step.level, step.level + float(step.size[2]))
+        after = list(self._kept)[max(len(self._kept) - step.blocks + 1, 0) :]
+        self._lately_known.clear()
+        self._known_before = None
+        self._begin_again(after)
 
     def _small_change(self) -> Move | None:
         """Return a small move of the sensor in the last minutes that is certain."""
@@ -478,48 +517,45 @@ class JointEstimator:
             good = GoodMount(Correction.turning(before.housing).rotation, own)
         std = self._misleading()[found.axis]
         changes.end_of_mounting(good)
-        if self.state in GOOD and changes.is_bearable(found, self._carried, std):
-            if changes.bear(found, block, std, good):
-                self._ask_for_zero(found, after)
+        if self.state in GOOD and changes.is_bearable(found, std):
+            changes.bear(found, block, std, good)
             self._next, self._doubt = self._filled(after, since), np.zeros(3)  # no doubt any more
             return
-        self._ask_for_zero(found, after)
-        if isinstance(found, LargeChange):  # of one axis; nobody knows about the others
+        turn = found.turn if isinstance(found, SuddenTurn) else None
+        is_far = turn is not None and float(np.linalg.norm(turn)) > TURNED_STD  # beyond first order
+        if isinstance(found, LargeChange) or is_far:  # nobody knows about the other axes
             self._begin_afresh(after)
         else:
             self._served.has_moved = True
             changes.restart()
-            self._carry(after, self._carried)
+            self._carry(after, self._carried, turn)
             self._begin_again(after, since)
         changes.take(found, block, std, good)
 
-    def _carry(self, blocks: Iterable[SignalBlock], before: CarriedForce | None = None) -> None:
+    def _carry(
+        self,
+        blocks: Iterable[SignalBlock],
+        before: CarriedForce | None = None,
+        turn: Array | None = None,
+    ) -> None:
         """Carry the vertical through these blocks alone.
 
-        before: begin with its rotation, which is nearly the present one.
+        before: begin with its rotation, turned by the sensor's turn (3,) since [rad]; it is nearly
+        the present one.
         """
         self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
         if before is not None:
-            self._carried.start_from(before)
+            self._carried.start_from(before, turn)
         for p in blocks:
             self._driven.add(*self._carried.add(p))
-
-    def _ask_for_zero(self, found: MountChange, after: list[SignalBlock]) -> None:
-        """Check for a step of the accelerometer's zero, which looks like a tilt; the gyroscope
-        tells them apart.
-        """
-        if found.axis < 2 and self._carried.own_gyro:
-            end = float(self._kept[-1].t[0]) + BLOCK_S
-            self._changes.zero.ask(float(after[0].t[0]) if after else end)
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin again from these blocks, without the rotation so far even as a hint."""
         self._changes.end_of_mounting(self._good_mount())
-        self._changes.zero.restart()
         self._begin_afresh(blocks)
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
-        """Begin again from these blocks. The check of the cause of the gravity change continues."""
+        """Begin again from these blocks."""
         kept = list(blocks)
         self._served.has_moved = True
         self._changes.restart()
@@ -559,20 +595,33 @@ class JointEstimator:
         """
         checks, block = self._checks, self._signals.blocks
         self._fits_no_sensor &= not self._is_usable(self.solution)
-        self._has_drifted |= self._drift.is_named and self._is_usable(self.solution)
+        is_drift = self._drift.is_named and self._drift.log_odds > self._sudden
+        self._has_drifted |= is_drift and self._is_usable(self.solution)
         if self._has_drifted:
             checks.accuse_lasting(StandingFault.ACCEL_DRIFT, block)
         if self._failed_for:
             checks.accuse(StandingFault.NUMERICS)
         self._hold_against_orientation()
-        if self._level.change is not None:
-            checks.accuse_lasting(StandingFault.ACCEL_LEVEL, block)
-        if self._changes.zero.cause is GravityMoved.STEPPED:
-            checks.accuse_lasting(StandingFault.ACCEL_ZERO, block)
+        for fault in self._stepped_zeros():
+            checks.accuse_lasting(fault, block)
         self._known = self._knowledge(p)
         acceptance = self._acceptance()
-        self._served.judge(self._known, acceptance, bool(checks.standing), self._found_correction)
+        is_doubted = bool(checks.standing) or self._is_gravity_open
+        self._served.judge(self._known, acceptance, is_doubted, self._found_correction)
         self._progress.take(block * BLOCK_S, self._known, self._settings, acceptance)
+
+    def _stepped_zeros(self) -> Iterator[StandingFault]:
+        """Yield the faults of an accelerometer whose zero has stepped along or across the vertical,
+        and not back.
+        """
+        R = self._carried.R
+        if R is None or not self._stepped.any():
+            return
+        x, y, z = (R @ self._stepped).tolist()
+        if abs(z) > NAMED:
+            yield StandingFault.ACCEL_LEVEL
+        if math.hypot(x, y) > NAMED:
+            yield StandingFault.ACCEL_ZERO
 
     def _hold_against_orientation(self) -> None:
         """Compare what a person states of the sensor's axes with the rotation, or with gravity."""
@@ -658,6 +707,7 @@ class JointEstimator:
         return Acceptance(
             self._checks,
             self._changes,
+            self._is_gravity_open,
             is_delay_beyond=self._carried.delay.is_beyond,
             has_speed=not self._signals.without_speed,
             has_speed_now=self._known.speed,
@@ -686,7 +736,7 @@ class JointEstimator:
     def _new_estimate(self) -> MountEstimate:
         state, changes, checks = self.state, self._changes, self._checks
         acceptance, solution, creep = self._acceptance(), self.solution, self._creep
-        moved, level = changes.shifted_again(), self._level.change
+        moved, level = changes.shifted_again(), self._level
         troubles = mount_troubles(state, checks.standing, creep_details(creep), moved, level)
         words, codes = waiting_reasons(self._known, state, self._settings, acceptance, troubles)
         R, covariance = self._housing()

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec import Struct
 
 from imucald.core.arrays import Array
 from imucald.drive import windows as wd
@@ -23,7 +24,6 @@ from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.creep import BELIEVED, Creep
 from imucald.mount.estimate import ANGLES, Gate, Missing, MountState, Progress
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.force_level import LevelChange
 from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.joint.response import SEGMENTS
 from imucald.mount.mount_changes import GoodMount, MountChanges, TakenChange
@@ -62,6 +62,13 @@ def waiting_reasons(
         words = dict.fromkeys(ANGLES, acceptance.missing_to_be_fine()) | words
         codes = dict.fromkeys(ANGLES, code) | codes
     return words, codes
+
+
+class LevelChange(Struct, frozen=True):
+    """Upward force [m/s^2] before and after a zero or the gain of the accelerometer changed."""
+
+    before: float
+    after: float
 
 
 def mount_troubles(

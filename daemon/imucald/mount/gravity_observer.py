@@ -18,10 +18,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.core.arrays import Array, Flags
+from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.gravity_step import GravityStepDetector
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.vertical_block import FORCE_LARGE, BlockForces, Carried, carried
 
@@ -29,12 +28,9 @@ PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""
 PULL_NO_GYRO_S = 12.0
 """Time constant where no gyroscope carries the vertical [s]."""
-MAX_ALONE, MAX_BLIND = 120, 10
-"""Limits in ticks: the gyroscope alone carried the vertical, or nothing carried it in a block.
-Beyond a limit, steps in gravity are not tested for a while.
+MAX_BLIND = 10
+"""Number of ticks in a block in which nothing carries the vertical, from which it is found again.
 """
-SETTLING_BLOCKS = 8
-"""Number of blocks without this test: three time constants of the pull."""
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""
 _PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
@@ -47,75 +43,38 @@ class GravityObserver:
         self._state: Array | None = None
         self._n = 0
         self._drift = np.zeros(3)
-        self._alone = self._settling = 0
-        self.steps = GravityStepDetector()
 
     def restart(self) -> None:
         """Forget the vertical because time jumped; keep what is known of the bias."""
         self._state = None
         self._n = 0
-        self.steps.restart()
 
     @property
     def up(self) -> Array | None:
         """Vertical in sensor axes, about unit length; (3,) or None."""
         return None if self._state is None else self._state[:, 0]
 
-    @property
-    def is_held(self) -> bool:
-        """True if the force has held the vertical lately.
-
-        A coarse gyroscope alone tilts it by 0.5 deg/s.
-        """
-        return self._state is not None and self._settling == 0
-
-    def settle(self) -> None:
-        """Test no steps for a while, because motion or another bias was in the vertical so far."""
-        self._settling = SETTLING_BLOCKS
-
-    def advance(self, p: SignalBlock, motion: Array | None, bias: Array, sure: bool) -> Array:
+    def advance(self, p: SignalBlock, motion: Array | None, bias: Array) -> Array:
         """Carry the vertical through a block; return f_s - g u (N, 3), which still contains the
         motion.
 
         motion: (N, 3) expected motion force in sensor axes, or None while R is not known. bias:
-        known bias of the accelerometer (3,) [m/s^2]; its effect is subtracted. sure: R is known
-        well enough to look for steps in the innovation.
+        known bias of the accelerometer (3,) [m/s^2]; its effect is subtracted.
         """
         with_gyro = bool(np.count_nonzero(p.ok_rate))
         pull = _PULL[with_gyro]
         # Without a speed, the part of the vehicle's motion in the force is unknown.
         use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
-        self._note_holes(p.ok_rate, use)
-        before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
+        if self._state is not None and np.count_nonzero(~p.ok_rate & ~use) > MAX_BLIND:
+            self._n = 0  # nothing carried it: it is found again
         block = BlockForces(p.rate, self._drift, p.ok_rate, p.force, motion, bias, use)
-        found = carried(block, self._state, self._n, pull, weighed=sure and with_gyro)
+        found = carried(block, self._state, self._n, pull)
         if found.state is not None:
             self._n += int(np.count_nonzero(use))
         self._state = found.state
         if motion is not None and with_gyro:
-            if sure:
-                if self._settling:
-                    self.steps.restart()
-                else:
-                    self.steps.follow_walk(p.rate_walk * PULL_S)
-                    self.steps.add(before, found.of_steps, found.end)
             self._follow_drift(p, found, pull)
         return found.lone
-
-    def _note_holes(self, ok_rate: Flags, use: Flags) -> None:
-        """Note holes of the rate. After a long hole the vertical is wrong and needs time to
-        settle.
-
-        use: (N,) ticks in which the vertical follows the force.
-        """
-        self._settling = max(self._settling - 1, 0)
-        at = use.nonzero()[0]
-        alone = self._alone + (int(at[0]) if len(at) else len(use))
-        if alone > MAX_ALONE or np.count_nonzero(~ok_rate) > MAX_BLIND:
-            self._settling = SETTLING_BLOCKS
-        if self._state is not None and np.count_nonzero(~ok_rate & ~use) > MAX_BLIND:
-            self._n = 0  # nothing carried it: it is found again
-        self._alone = len(use) - 1 - int(at[-1]) if len(at) else alone
 
     def _follow_drift(self, p: SignalBlock, found: Carried, pull: float) -> None:
         """Estimate the gyro bias about the level axes from the innovation that it causes (Mahony's

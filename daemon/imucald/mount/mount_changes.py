@@ -1,8 +1,8 @@
 """Detection of a moved sensor. All tests for a move and the changes found in this drive are here.
 
-`large_change` sees a rotation by several degrees in single blocks. `gravity_step` sees a step that
-the gyroscope did not see. `joint.moves` sees a small move once enough road has been driven. `creep`
-sees a slow one.
+`joint.steps` sees a sudden rotation. Where its filter does not run (before the mount is usable, or
+without a gyroscope), `large_change` sees a rotation by several degrees in single blocks.
+`joint.moves` sees a small move once enough road has been driven. `creep` sees a slow one.
 """
 
 from __future__ import annotations
@@ -15,16 +15,40 @@ from msgspec import Struct
 
 from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, vector_from_rotation
+from imucald.core.samples import GRAVITY
 from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.gravity_step import GravityStep
 from imucald.mount.joint.moves import Move
+from imucald.mount.joint.steps import Step
 from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
-from imucald.mount.zero_step import LEAST_TILT, ZeroStep
 
-MountChange = GravityStep | LargeChange | Move
+
+class SuddenTurn(Struct, frozen=True):
+    """A sudden rotation that was found: the largest of its angles, by axis (0 roll, 1 pitch, 2
+    yaw).
+
+    size: that angle [rad]; deviations: the same in standard deviations. blocks: number of blocks
+    since. turn: (3,) whole rotation vector in vehicle axes [rad].
+    """
+
+    axis: int
+    size: float
+    deviations: float
+    blocks: int
+    turn: Array
+
+    @classmethod
+    def of(cls, step: Step) -> SuddenTurn:
+        """Return the rotation of a step, or that by which gravity seems to turn with a zero."""
+        angles = step.size if step.is_turn else step.size / GRAVITY
+        axis = int(np.abs(angles).argmax())
+        size, std = float(angles[axis]), math.sqrt(step.covariance[axis, axis])
+        return cls(axis, size, float(step.size[axis]) / std, step.blocks, angles)
+
+
+MountChange = SuddenTurn | LargeChange | Move
 
 SHIFTS_ALLOWED = 1
 """Number of shifts in one drive above which the mount counts as loose."""
@@ -34,6 +58,10 @@ ALERT_DEVIATIONS = 4.0
 """Number of stated deviations below which the error of an angle misleads no consumer
 (records/integrity.md).
 """
+
+
+MOST_TILT = 0.35
+"""Largest change of gravity that a zero of the accelerometer can cause [rad]: 350 mg."""
 
 
 class GoodMount(Struct, frozen=True):
@@ -84,20 +112,21 @@ class MountChanges:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
-        self.zero = ZeroStep(settings)
         self.history: list[TakenChange] = []
         self._open: TakenChange | None = None  # the mount after it may still become more certain
         self.borne = np.zeros(3)
 
     def at_once(
-        self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker
+        self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker, is_watched: bool
     ) -> LargeChange | None:
         """Return a rotation that this block alone shows: while standing, or by the gyroscope alone.
 
-        carried: has a rotation, and has already taken the block.
+        carried: has a rotation, and has already taken the block. is_watched: as in `large`.
         """
         assert carried.R is not None
         change = self._large.while_standing(p, carried.R)
+        if is_watched and _may_be_zero(change):
+            change = None
         if change is None and carried.own_gyro and not signals.without_speed:
             motion = carried.motion(p, carried.R)
             change = self._large.while_driving(p, carried.R, motion, "yaw_rate" in signals.seen)
@@ -111,27 +140,23 @@ class MountChanges:
         sums = block_sums(p, carried.turn_rate, use)
         motion = carried.motion(p, carried.R)
         self._large.add(sums, use, carried.R, motion, carried.gains, *has)
-        self.zero.add(p, sums, carried)
 
-    def large(self, carried: CarriedForce) -> LargeChange | None:
-        """Return a rotation by several degrees within the last blocks."""
-        return self._large.found(with_yaw=carried.own_gyro)
+    def large(self, carried: CarriedForce, is_watched: bool) -> LargeChange | None:
+        """Return a rotation by several degrees within the last blocks.
 
-    def is_bearable(self, found: MountChange, carried: CarriedForce, std: float) -> bool:
+        is_watched: the filter of `joint.steps` runs, which tells a tilt from a step of a zero.
+        """
+        found = self._large.found(with_yaw=carried.own_gyro)
+        return None if is_watched and _may_be_zero(found) else found
+
+    @staticmethod
+    def is_bearable(found: MountChange, std: float) -> bool:
         """True if the applied correction misleads no consumer after a change.
 
         std: stated deviation of the changed angle [rad], without the part that the same change
-        added before it was confirmed. A sudden tilt may be a step of the zero. No deviation of the
-        mount includes such a step (`zero_step`).
+        added before it was confirmed.
         """
-        if not math.isfinite(std) or self._may_be_stepped_zero(found, carried):
-            return False
-        return abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
-
-    @staticmethod
-    def _may_be_stepped_zero(found: MountChange, carried: CarriedForce) -> bool:
-        is_sudden_tilt = found.axis < 2 and not isinstance(found, Move)
-        return is_sudden_tilt and abs(found.size) > LEAST_TILT and carried.own_gyro
+        return math.isfinite(std) and abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
 
     def bear(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> bool:
         """Take a change that misleads no consumer; return whether it is new.
@@ -190,12 +215,12 @@ class MountChanges:
         return [one.turn(now if one is self._open else None) for one in self.history]
 
 
+def _may_be_zero(found: LargeChange | None) -> bool:
+    """True if a rotation may be a step of a zero."""
+    return found is not None and found.axis < 2 and abs(found.size) < MOST_TILT
+
+
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
     """Return the stored blocks after a change."""
-    if isinstance(change, Move):
-        after = change.blocks
-    elif isinstance(change, LargeChange):
-        after = change.blocks - 1  # the oldest holds the change itself
-    else:
-        after = change.blocks - 2  # and its time is uncertain by one block
+    after = change.blocks if isinstance(change, Move) else change.blocks - 1  # one may hold it
     return list(kept)[max(len(kept) - after, 0) :]

@@ -19,10 +19,8 @@ SETTLE_TICKS = 25
 """Number of first ticks that take a running mean."""
 FORCE_NOISE = 0.06
 """Innovation of a tick without disturbance [m/s^2], rms."""
-FORCE_SHARE = 0.12
-"""Share of the motion that the model may miss (gains, squat, sideslip)."""
 FORCE_LARGE = 0.25
-"""Innovations beyond this get less weight [m/s^2] (Huber)."""
+"""Innovations beyond this count as this [m/s^2] (Huber)."""
 _EYE = np.eye(3)
 
 
@@ -48,24 +46,20 @@ class Carried(Struct, frozen=True):
 
     lone: (N, 3) specific force minus gravity along the vertical, and minus the effect of the bias
     [m/s^2]. up: (3,) vertical at the last tick. state: (3, 4) at the end, None if there is none
-    yet. end: (3, 3) remaining effect of the initial state at the end. left: (3,) sum of the
-    unexplained force. of_steps: (7, 6) information of (I - B, remaining effect of the initial
-    state) and, below it, the score. Both are zero if no motion is known.
+    yet. left: (3,) sum of the unexplained force; zero if no motion is known.
     """
 
     lone: Array
     up: Array
     state: Array | None
-    end: Array
     left: Array
-    of_steps: Array
 
 
-def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighed: bool) -> Carried:
+def carried(p: BlockForces, state: Array | None, count: int, pull: float) -> Carried:
     """Carry the vertical through a block.
 
     state: (3, 4) at its beginning, None before any force. count: ticks that were pulled to the
-    force so far. pull: gain of a tick. weighed: the residuals are also weighted for steps.
+    force so far. pull: gain of a tick.
     """
     first = 0
     if state is None and p.use.any():
@@ -73,29 +67,19 @@ def carried(p: BlockForces, state: Array | None, count: int, pull: float, weighe
         force = p.force[first] if p.motion is None else p.force[first] - p.motion[first]
         state = np.concatenate([force[:, None] / GRAVITY, _EYE], axis=1)
     force = (p.force if p.motion is None else p.force - p.motion).T
-    end = _EYE.copy()
-    states = np.zeros((3, 7, len(p.use)))  # ticks last: long loops
+    states = np.zeros((3, 4, len(p.use)))  # ticks last: long loops
     if state is not None:
         step = np.ascontiguousarray((-TICK_S * (p.rate - p.drift) * p.ok_rate[:, None]).T)
         gain = _gains(p.use, count, pull)
-        states, last = _states(_turned(step), force, gain, state, first)
-        state, end = last[:, :4], last[:, 4:]
+        states, state = _states(_turned(step), force, gain, state, first)
     gravity = GRAVITY * states[:, 0]
     answer = _EYE[:, :, None] - states[:, 1:4]  # to a bias
     answered = answer[:, 0] * p.bias[0] + answer[:, 1] * p.bias[1] + answer[:, 2] * p.bias[2]
     lone = (p.force.T - gravity - answered).T
-    left, of_steps = np.zeros(3), np.zeros((7, 6))
+    left = np.zeros(3)
     if p.motion is not None:
-        unexplained = force - gravity - answered
-        left = unexplained.sum(axis=1)
-        if weighed:
-            noise2 = FORCE_NOISE * FORCE_NOISE + FORCE_SHARE * FORCE_SHARE * _squares(p.motion.T)
-            weight = (p.use & p.ok_rate) / noise2
-            weight /= np.maximum(np.sqrt(_squares(unexplained)) / (2.0 * FORCE_LARGE), 1.0)
-            both = np.concatenate([answer, states[:, 4:]], axis=1)
-            of_steps = _weighed(both, unexplained, weight)
-    up = states[:, 0, -1].copy()
-    return Carried(np.ascontiguousarray(lone), up, state, end, left, of_steps)
+        left = (force - gravity - answered).sum(axis=1)
+    return Carried(np.ascontiguousarray(lone), states[:, 0, -1].copy(), state, left)
 
 
 def _turned(step: Array) -> Array:
@@ -125,10 +109,10 @@ def _gains(use: Flags, count: int, pull: float) -> Array:
 def _states(
     turn: Array, force: Array, gain: Array, state: Array, first: int
 ) -> tuple[Array, Array]:
-    """Return the state before each pull (3, 7, N), and after the last one (3, 7).
+    """Return the state (u, B) before each pull (3, 4, N), and after the last one (3, 4).
 
-    Columns: u, B, and the remaining effect of the initial state. A tick is an affine map. Each map
-    is combined with all before it, twice as many in each step, and all are then applied at once.
+    A tick is an affine map. Each map is combined with all before it, twice as many in each step,
+    and all are then applied at once.
     """
     carry = np.empty((3, 7, len(gain)))  # what turns the state (3, 3), what u and B get (3, 4)
     np.multiply(1.0 - gain, turn, out=carry[:, :3])
@@ -143,10 +127,9 @@ def _states(
         both[:, 3:] += later[:, 3:]
         carry[:, :, apart:] = both
         apart *= 2
-    before = np.concatenate([state, _EYE], axis=1)
-    after = _applied(carry[:, :3], before[:, :, None])
-    after[:, :4] += carry[:, 3:]
-    drawn = np.concatenate([before[:, :, None], after[:, :, :-1]], axis=2)
+    after = _applied(carry[:, :3], state[:, :, None])
+    after += carry[:, 3:]
+    drawn = np.concatenate([state[:, :, None], after[:, :, :-1]], axis=2)
     states = _applied(turn, drawn)
     states[:, :, :first] = 0.0
     return states, after[:, :, -1].copy()
@@ -158,22 +141,3 @@ def _applied(matrices: Array, columns: Array) -> Array:
     out += matrices[:, 1, None] * columns[1]
     out += matrices[:, 2, None] * columns[2]
     return out
-
-
-def _squares(vectors: Array) -> Array:
-    """Return the squares of vectors (3, N)."""
-    x, y, z = vectors
-    return np.asarray(x * x + y * y + z * z)
-
-
-def _weighed(answer: Array, left: Array, weight: Array) -> Array:
-    """Return information (k, k) and score (k,), as (k + 1, k), of responses (3, k, N).
-
-    left: residuals (3, N).
-    """
-    weighted = answer * weight
-    shown = np.concatenate([answer, left[:, None]], axis=1)  # (3, k + 1, N)
-    each = weighted[0] * shown[0, :, None]  # (k + 1, k, N)
-    each += weighted[1] * shown[1, :, None]
-    each += weighted[2] * shown[2, :, None]
-    return np.asarray(each.sum(axis=2))

@@ -39,15 +39,26 @@ from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
 from imucald.mount.joint.state import SLOPE, SLOPE_M
+from imucald.mount.joint.steps import (
+    ANSWER,
+    EFFECT,
+    GYRO,
+    MOST_ONSETS,
+    RATE_ZERO,
+    STATES,
+    TILT,
+    UP,
+    ZERO,
+    Onsets,
+    Step,
+    likeliest_step,
+)
 
 Complex = NDArray[np.complex128]
 
 STEP, STEPS = 8, 8
 """Ticks of a mean, and means of a block."""
 STEP_S = STEP * TICK_S
-UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
-ZERO, ANSWER = slice(9, 12), slice(12, 24)
-STATES = 24
 LEVEL_RATES = slice(2, 4)
 ONSET_BLOCKS, ONSETS = 10, 24
 """A drift may begin every 64 s; onsets in the last 26 minutes are tested."""
@@ -59,7 +70,8 @@ NAMED = 0.2
 """A drift is reported as a fault from this size on [m/s^2]; a smaller one only widens the
 deviation.
 """
-_LOG_ONSETS = math.log(FALSE_ALARM_H * 3600.0 / (ONSET_BLOCKS * STEPS * STEP_S))
+_LOG_STEPS = math.log(FALSE_ALARM_H * 3600.0 / (STEPS * STEP_S))
+_LOG_ONSETS = _LOG_STEPS - math.log(ONSET_BLOCKS)
 NEVER = 700.0
 """Log odds against the impossible: the exponential of this number does not overflow."""
 _ONE, _AXES = np.eye(3), np.arange(3)
@@ -209,17 +221,15 @@ class ZeroDrift:
         self._noise = np.full(3, d.noise**2)
         self._taken: Array | None = None
         self._steps = self._blocks = 0
-        self._onsets = np.zeros(0)
-        self._shift = np.zeros((STATES, 0))
-        self._information = np.zeros((0, 3, 3))
-        self._score = np.zeros((0, 3))
+        self._ramps, self._sudden = Onsets(3), Onsets(EFFECT.shape[1])
+        self._kept: int | None = None
         self._log = np.zeros((2, 0))
         self._before = np.zeros((0, 3))
 
     def restart(self) -> None:
         """Mark the vertical as unknown."""
         self._mean[UP] = 0.0
-        self._shift[UP] = 0.0
+        self._ramps.shift[UP] = self._sudden.shift[UP] = 0.0
         self._covariance[UP] = 0.0
         self._covariance[:, UP] = 0.0
         self._covariance[UP, UP] = self._drifts.up**2 * np.eye(2)
@@ -238,7 +248,8 @@ class ZeroDrift:
         the rate [rad^2/s].
         """
         if self._blocks % ONSET_BLOCKS == 0:
-            self._begin_onset()
+            self._begin_ramp()
+        self._begin_step()
         self._blocks += 1
         if self._taken is not None:
             self._mean[RATE_ZERO] -= rate_zero - self._taken
@@ -263,16 +274,17 @@ class ZeroDrift:
 
     def found(self) -> Drift:
         """Return the present knowledge of a drift: its probability and its size."""
-        if not len(self._onsets):
+        ramps = self._ramps
+        if not len(ramps.began):
             return NONE
-        d, since = self._drifts, (self._steps - self._onsets) * STEP_S
+        d, since = self._drifts, (self._steps - ramps.began) * STEP_S
         prior = np.empty((2, len(since)))  # of a warm-up, of a fault
         prior[0], prior[1] = np.minimum(d.warming, d.warmed / np.maximum(since, STEP_S)), d.rate
         variance = np.square(prior)[:, :, None, None]
-        information = self._information + _ONE / variance
+        information = ramps.information + _ONE / variance
         covariance = inverse(information)
-        rate = (covariance @ self._score[:, :, None])[..., 0]
-        log = self._log + 0.5 * (rate * self._score).sum(axis=2)
+        rate = (covariance @ ramps.score[:, :, None])[..., 0]
+        log = self._log + 0.5 * (rate * ramps.score).sum(axis=2)
         log -= 0.5 * np.log(np.linalg.det(information * variance))
         share = np.exp(log - log.max(axis=1, keepdims=True))
         total = share.sum(axis=1)
@@ -304,14 +316,26 @@ class ZeroDrift:
         wide = np.diag(self.found().variance()[:2]) / GRAVITY**2
         return rows @ self._mean, rows @ self._covariance @ rows.T + wide
 
-    def _begin_onset(self) -> None:
-        first = max(len(self._onsets) + 1 - ONSETS, 0)
-        self._onsets = np.append(self._onsets, self._steps)[first:]
-        self._shift = np.hstack([self._shift, np.zeros((STATES, 3))])[:, 3 * first :]
-        self._information = np.concatenate([self._information, np.zeros((1, 3, 3))])[first:]
-        self._score = np.concatenate([self._score, np.zeros((1, 3))])[first:]
-        self._log = np.hstack([self._log, np.zeros((2, 1))])[:, first:]
-        self._before = np.concatenate([self._before, np.zeros((1, 3))])[first:]
+    def step(self) -> Step | None:
+        """Return the most likely sudden change in the last blocks; None before any block."""
+        if not len(self._sudden.began):
+            return None
+        level = GRAVITY + float(self._mean[ZERO][2])
+        found = likeliest_step(self._sudden, self._steps, STEPS, _LOG_STEPS, level)
+        is_open = found.is_certain and not found.is_decided
+        self._kept = found.onset if is_open else None
+        return found
+
+    def _begin_step(self) -> None:
+        gone = self._sudden.begin(self._steps, EFFECT, MOST_ONSETS, self._kept)
+        if gone is not None and self._kept is not None and gone < self._kept:
+            self._kept -= 1
+
+    def _begin_ramp(self) -> None:
+        if self._ramps.begin(self._steps, np.zeros((STATES, 3)), ONSETS) is not None:
+            self._log, self._before = self._log[:, 1:], self._before[1:]
+        self._log = np.hstack([self._log, np.zeros((2, 1))])
+        self._before = np.concatenate([self._before, np.zeros((1, 3))])
         if self._past is not None:
             self._go_on_from(self._past)
             self._past = None
@@ -319,9 +343,9 @@ class ZeroDrift:
     def _go_on_from(self, past: Drift) -> None:
         """Make an earlier drift the first onset: its prior is the former estimate of the rate."""
         prior, information = self._drifts.rate**2, inverse(past.rate_covariance)
-        self._information[0] = information - _ONE / prior
-        self._score[0] = information @ past.rate
-        known = 0.5 * (past.rate @ self._score[0] - np.linalg.slogdet(information * prior)[1])
+        self._ramps.information[0] = information - _ONE / prior
+        self._ramps.score[0] = information @ past.rate
+        known = 0.5 * (past.rate @ self._ramps.score[0] - np.linalg.slogdet(information * prior)[1])
         self._log[:, 0] = -NEVER, past.log_odds + _LOG_ONSETS - known
         self._before[0] = past.size
 
@@ -363,25 +387,27 @@ class ZeroDrift:
             H[n, TILT.start] = H[n + 1, TILT.start + 1] = -1.0
             off[n:] = self._mean[TILT] - path.up[-1]
             noise[n:] = self._drifts.slope**2 * SLOPE_M / passed
-        P, shift = self._covariance, self._shift
+        P, ramps, sudden = self._covariance, self._ramps, self._sudden
         seen = H @ P
-        since = (self._steps + 0.5 + held[:, None] - self._onsets) * STEP_S
-        answer = -(H @ shift)
-        answer[:n].reshape(-1, 3, len(self._onsets), 3)[:, _AXES, :, _AXES] += since
+        since = (self._steps + 0.5 + held[:, None] - ramps.began) * STEP_S
+        answer = -(H @ ramps.shift)
+        answer[:n].reshape(-1, 3, len(ramps.began), 3)[:, _AXES, :, _AXES] += since
+        stepped = -(H @ sudden.shift)
         columns = np.concatenate([off[:, None], seen, answer], axis=1)
-        made = self._whitened(seen @ H.T, noise, columns, len(held))
-        both = made[:, : 1 + STATES].T @ made
-        by_onset = made[:, 1 + STATES :].reshape(rows, len(self._onsets), 3).transpose(1, 0, 2)
-        self._information += by_onset.transpose(0, 2, 1) @ by_onset
-        self._score += both[0, 1 + STATES :].reshape(-1, 3)
+        whiten = self._whitening(seen @ H.T, noise, off, len(held))
+        made, stepped = whiten @ columns, whiten @ stepped
+        first = made[:, : 1 + STATES]
+        both = first.T @ made
+        ramps.take(made[:, 1 + STATES :], both[:, 1 + STATES :])
+        sudden.take(stepped, first.T @ stepped)
         found = both[0, 1 : 1 + STATES]
         self._mean += found
         self._mean[UP] = path.up[-1] + end @ found
         P -= both[1:, 1 : 1 + STATES]
         P[UP] = end @ P
         P[:, UP] = P @ end.T
-        shift += both[1:, 1 + STATES :]
-        shift[UP] = end @ shift
+        for one in (ramps, sudden):
+            one.shift[UP] = end @ one.shift
 
     def _force_rows(self, path: _Path, means: Array, held: NDArray[np.int_]) -> tuple[Array, Array]:
         """Return the rows (3 n, STATES) by which the means of the force respond to the state, and
@@ -402,8 +428,9 @@ class ZeroDrift:
         off[:, 2] -= GRAVITY + speed * x[3]
         return H.reshape(-1, STATES), off.ravel()
 
-    def _whitened(self, S: Array, noise: Array, columns: Array, n: int) -> Array:
-        """Whiten columns (m, k), the innovations first, by the root of their covariance.
+    def _whitening(self, S: Array, noise: Array, off: Array, n: int) -> Array:
+        """Return the matrix (m, m) that whitens the innovations off (m,): the inverse of the root
+        of their covariance.
 
         The covariance is that of the state and the noise, plus that of n means. Means that are far
         off get less weight.
@@ -413,12 +440,12 @@ class ZeroDrift:
         diagonal += noise
         diagonal[: 3 * n] += each
         root = _root(S)
-        white = solved(root, columns[:, 0])[: 3 * n].reshape(n, 3)
+        white = solved(root, off)[: 3 * n].reshape(n, 3)
         loud = (free + np.square(white).sum(axis=0)) / (free + n)
         if self._steps > LEARNT / 5.0:  # from then on the axes' own tilt is known
             self._learn_noise(root, white)
         diagonal[: 3 * n] += each * np.tile(loud - 1.0, n)
-        return np.asarray(inverse(_root(S)) @ columns)
+        return inverse(_root(S))
 
     def _learn_noise(self, root: Array, white: Array) -> None:
         """Learn the noise from white innovations (n, 3) and the root of their covariance."""

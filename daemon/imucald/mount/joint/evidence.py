@@ -71,6 +71,7 @@ from imucald.mount.joint.state import (
     sent_variance,
     zero_row,
 )
+from imucald.mount.joint.steps import Step
 from imucald.mount.joint.sums import Fits, WindowSums
 
 Complex = NDArray[np.complex128]
@@ -347,6 +348,21 @@ class Evidence:
             found = self._drift.found()
             self._found_drift = found.turned(self._axes[0] @ inverse(self._drift_axes[0]))
         return self._found_drift
+
+    def step(self) -> Step | None:
+        """Return the most likely sudden change in the last minute.
+
+        Returns None if no filter tests for one, or before it has taken all blocks.
+        """
+        if self._axes is None or not self._follows_drift:
+            return None
+        self._follow_drift()
+        return self._drift.step() if self._is_up_to(self._followed) else None
+
+    @property
+    def watch_axes(self) -> Matrix3:
+        """Matrix (3, 3) from sensor axes to the axes of `step`."""
+        return self._drift_axes[0]
 
     @property
     def _follows_drift(self) -> bool:
