@@ -233,14 +233,10 @@ LONGEST_S = 3600.0
 GOALS = (MountState.USABLE, MountState.FINE)
 FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
 """Signals that a first solution needs [s]: two windows."""
-<<<<<<< HEAD
-FIRST = f"first {FIRST_S:.0f} s of driving (then more conditions)"
-=======
 FIRST = "first solution (acceleration, braking, bends)"
 """The only gate before a first solution: until then no axis has a share that could grow."""
 FIRST_SHARE_MAX = 0.99
 """Without a solution, its gate is not complete."""
->>>>>>> audit
 
 
 class ProgressWatch:
