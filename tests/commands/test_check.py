@@ -299,7 +299,7 @@ def test_what_nothing_is_learnt_from_is_named_with_signal_cause_and_time(frames:
         silent.append(chunk.take(~((chunk.can_id == 0x1A0) & (t > 100.0) & (t < 130.0))))
     said = findings(checked(silent), "note")["log"]
     seconds = re.search(
-        r"the log has 240 s; the calibration does not use: speed no valid samples (\d+) s", said
+        r"the log has 240 s; the calibration does not use: speed: no valid sample for (\d+) s", said
     )
     assert seconds is not None, said
     assert 25 <= int(seconds[1]) <= 35

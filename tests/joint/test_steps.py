@@ -9,7 +9,7 @@ from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.mount.joint.evidence import Block, Evidence
 from imucald.mount.joint.state import Priors
-from imucald.mount.joint.steps import Step
+from imucald.mount.joint.steps import SuddenChange
 from joint.planar_drive import ROTATION, Array, Sensor, blocks
 
 LEVEL_ROADS = Priors(crown=(0.0, 0.002), slope=0.002)
@@ -18,7 +18,7 @@ PULSE = 5
 """Ticks within which a sensor turns, where the gyroscope feels it."""
 
 
-def steps(made: list[Block]) -> list[Step | None]:
+def steps(made: list[Block]) -> list[SuddenChange | None]:
     """What is found after each block from `AT` on."""
     evidence, found = Evidence(LEVEL_ROADS), []
     for k, block in enumerate(made):
@@ -29,11 +29,11 @@ def steps(made: list[Block]) -> list[Step | None]:
     return found
 
 
-def certain(found: list[Step | None]) -> list[Step]:
+def certain(found: list[SuddenChange | None]) -> list[SuddenChange]:
     return [one for one in found if one is not None and one.is_certain]
 
 
-def decided(found: list[Step | None]) -> Step:
+def decided(found: list[SuddenChange | None]) -> SuddenChange:
     return next(one for one in certain(found) if one.is_decided)
 
 

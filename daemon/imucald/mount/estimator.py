@@ -57,7 +57,7 @@ from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
-from imucald.mount.joint.steps import TURNED_STD, Step
+from imucald.mount.joint.steps import TURNED_STD, SuddenChange
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import (
     ALERT_LIMIT,
@@ -479,7 +479,7 @@ class JointEstimator:
         self._take_zero_step(evidence, step)
         return None
 
-    def _take_zero_step(self, evidence: Evidence, step: Step) -> None:
+    def _take_zero_step(self, evidence: Evidence, step: SuddenChange) -> None:
         """Add a step of the accelerometer's zero to those of this drive.
 
         Only the blocks after it count, as the evidence knows one zero.

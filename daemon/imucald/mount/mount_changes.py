@@ -20,7 +20,7 @@ from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.joint.moves import Move
-from imucald.mount.joint.steps import Step
+from imucald.mount.joint.steps import SuddenChange
 from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 
@@ -40,7 +40,7 @@ class SuddenTurn(Struct, frozen=True):
     turn: Array
 
     @classmethod
-    def of(cls, step: Step) -> SuddenTurn:
+    def of(cls, step: SuddenChange) -> SuddenTurn:
         """Return the rotation of a step, or that by which gravity seems to turn with a zero."""
         angles = step.size if step.is_turn else step.size / GRAVITY
         axis = int(np.abs(angles).argmax())

@@ -50,7 +50,7 @@ from imucald.mount.joint.steps import (
     UP,
     ZERO,
     Onsets,
-    Step,
+    SuddenChange,
     likeliest_step,
 )
 
@@ -316,7 +316,7 @@ class ZeroDrift:
         wide = np.diag(self.found().variance()[:2]) / GRAVITY**2
         return rows @ self._mean, rows @ self._covariance @ rows.T + wide
 
-    def step(self) -> Step | None:
+    def step(self) -> SuddenChange | None:
         """Return the most likely sudden change in the last blocks; None before any block."""
         if not len(self._sudden.began):
             return None

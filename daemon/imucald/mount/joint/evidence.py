@@ -71,7 +71,7 @@ from imucald.mount.joint.state import (
     sent_variance,
     zero_row,
 )
-from imucald.mount.joint.steps import Step
+from imucald.mount.joint.steps import SuddenChange
 from imucald.mount.joint.sums import Fits, WindowSums
 
 Complex = NDArray[np.complex128]
@@ -349,7 +349,7 @@ class Evidence:
             self._found_drift = found.turned(self._axes[0] @ inverse(self._drift_axes[0]))
         return self._found_drift
 
-    def step(self) -> Step | None:
+    def step(self) -> SuddenChange | None:
         """Return the most likely sudden change in the last minute.
 
         Returns None if no filter tests for one, or before it has taken all blocks.

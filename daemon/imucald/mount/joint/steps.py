@@ -68,7 +68,7 @@ def _unit(part: slice) -> Array:
     return np.eye(STATES)[:, part]
 
 
-class Hypothesis(NamedTuple):
+class ChangeHypothesis(NamedTuple):
     """A change. columns: its unknowns among those of an onset. std: their prior deviations.
 
     chance: of this change, if there is one.
@@ -80,10 +80,10 @@ class Hypothesis(NamedTuple):
 
 
 TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
-NOT_FELT: Final = Hypothesis(slice(0, 4), TURNED_STDS, 0.25)
-FELT: Final = Hypothesis(slice(4, 8), TURNED_STDS, 0.25)
-STEPPED: Final = Hypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5)
-GRADE: Final = Hypothesis(slice(11, 13), np.array([0.05, 0.03]), 1.0)
+NOT_FELT: Final = ChangeHypothesis(slice(0, 4), TURNED_STDS, 0.25)
+FELT: Final = ChangeHypothesis(slice(4, 8), TURNED_STDS, 0.25)
+STEPPED: Final = ChangeHypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5)
+GRADE: Final = ChangeHypothesis(slice(11, 13), np.array([0.05, 0.03]), 1.0)
 """A long grade or bank, which changes the mean vertical of the road alone: 10 % is a steep mountain
 road, 6 % a steep superelevation (two deviations).
 """
@@ -92,7 +92,7 @@ EFFECT: Final = np.hstack([_turned(is_felt=False), _turned(is_felt=True), _unit(
 TURNS: Final = (NOT_FELT, FELT)
 
 
-class Step(NamedTuple):
+class SuddenChange(NamedTuple):
     """The most likely sudden change.
 
     is_turn: the sensor was turned; otherwise, a zero stepped. size: (3,) rotation vector of the
@@ -184,7 +184,7 @@ class _Fit(NamedTuple):
     information: Array
 
 
-def _fitted(onsets: Onsets, one: Hypothesis) -> _Fit:
+def _fitted(onsets: Onsets, one: ChangeHypothesis) -> _Fit:
     """Fit a hypothesis. A turn is fitted twice, the second time with its second order."""
     weight = one.std**-2
     known = onsets.information[:, one.columns, one.columns] + np.diag(weight)
@@ -201,7 +201,7 @@ def _fitted(onsets: Onsets, one: Hypothesis) -> _Fit:
 
 def likeliest_step(
     onsets: Onsets, now: float, a_block: float, log_onsets: float, level: float
-) -> Step:
+) -> SuddenChange:
     """Return the most likely step. now, a_block: in the unit of the onsets' times. log_onsets: log
     of the number of onsets in which one false alarm may come. level: upward force so far [m/s^2].
     """
@@ -212,7 +212,7 @@ def likeliest_step(
     is_turn = bool(turned > stepped)
     which = 2 if not is_turn else int(logs[1].max() > logs[0].max())
     k = int(logs[which].argmax())
-    return Step(
+    return SuddenChange(
         is_turn,
         fits[which].size[k, :3],
         np.linalg.inv(fits[which].information[k])[:3, :3],
