@@ -57,7 +57,7 @@ from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
-from imucald.mount.joint.steps import TURNED_STD, SuddenChange
+from imucald.mount.joint.steps import TURNED_STD
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import (
     ALERT_LIMIT,
@@ -462,7 +462,10 @@ class JointEstimator:
         return evidence if self._is_usable(evidence.solution) else None
 
     def _sudden_change(self) -> SuddenTurn | None:
-        """Return a sudden turn of the sensor that is certain; take a step of a zero."""
+        """Return a sudden turn of the sensor that is certain; begin again after a step of a zero.
+
+        A question that stays open is answered by new evidence once enough blocks are stored.
+        """
         evidence, self._is_gravity_open, self._sudden = self._watched, False, -math.inf
         step = None if evidence is None else evidence.step()
         if evidence is None or step is None or not step.is_certain:
@@ -471,25 +474,17 @@ class JointEstimator:
         if abs(turn.size) < (ALERT_LIMIT if step.is_turn else NAMED / GRAVITY):
             return None
         self._sudden = step.log_odds
-        if not step.is_decided:
-            self._is_gravity_open = not self._changes.is_bearable(turn, max(self._misleading()))
+        if step.is_decided and not step.is_turn:
+            self._stepped += inverse(evidence.watch_axes) @ step.size
+            self._level = LevelChange(step.level, step.level + float(step.size[2]))
+            self._lately_known.clear()
+            self._known_before = None  # of another zero
+            self._begin_again(blocks_since(turn, self._kept))
             return None
-        if step.is_turn:
+        if step.is_decided or step.blocks > KEPT_BLOCKS:  # new evidence finds mount and zero anew
             return turn
-        self._take_zero_step(evidence, step)
+        self._is_gravity_open = not self._changes.is_bearable(turn, max(self._misleading()))
         return None
-
-    def _take_zero_step(self, evidence: Evidence, step: SuddenChange) -> None:
-        """Add a step of the accelerometer's zero to those of this drive.
-
-        Only the blocks after it count, as the evidence knows one zero.
-        """
-        self._stepped += inverse(evidence.watch_axes) @ step.size
-        self._level = LevelChange(step.level, step.level + float(step.size[2]))
-        after = list(self._kept)[max(len(self._kept) - step.blocks + 1, 0) :]
-        self._lately_known.clear()
-        self._known_before = None
-        self._begin_again(after)
 
     def _small_change(self) -> Move | None:
         """Return a small move of the sensor in the last minutes that is certain."""
@@ -566,6 +561,7 @@ class JointEstimator:
 
     def _begin_again(self, blocks: list[SignalBlock], since: int = 0) -> None:
         self._joint, self._next, self._drift = self._filled(blocks, since), None, NO_DRIFT
+        self._is_gravity_open, self._sudden = False, -math.inf
         self._forget_moves()
 
     def _began(self, blocks: list[SignalBlock], since: int) -> float:

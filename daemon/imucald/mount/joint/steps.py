@@ -71,17 +71,18 @@ def _unit(part: slice) -> Array:
 class ChangeHypothesis(NamedTuple):
     """A change. columns: its unknowns among those of an onset. std: their prior deviations.
 
-    chance: of this change, if there is one.
+    chance: of this change, if there is one. is_turn: the sensor turns.
     """
 
     columns: slice
     std: Array
     chance: float
+    is_turn: bool = False
 
 
 TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
-NOT_FELT: Final = ChangeHypothesis(slice(0, 4), TURNED_STDS, 0.25)
-FELT: Final = ChangeHypothesis(slice(4, 8), TURNED_STDS, 0.25)
+NOT_FELT: Final = ChangeHypothesis(slice(0, 4), TURNED_STDS, 0.25, is_turn=True)
+FELT: Final = ChangeHypothesis(slice(4, 8), TURNED_STDS, 0.25, is_turn=True)
 STEPPED: Final = ChangeHypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5)
 GRADE: Final = ChangeHypothesis(slice(11, 13), np.array([0.05, 0.03]), 1.0)
 """A long grade or bank, which changes the mean vertical of the road alone: 10 % is a steep mountain
@@ -89,7 +90,6 @@ road, 6 % a steep superelevation (two deviations).
 """
 EFFECT: Final = np.hstack([_turned(is_felt=False), _turned(is_felt=True), _unit(ZERO), _unit(TILT)])
 """Effect of all unknowns of an onset on the state (STATES, 13)."""
-TURNS: Final = (NOT_FELT, FELT)
 
 
 class SuddenChange(NamedTuple):
@@ -98,9 +98,8 @@ class SuddenChange(NamedTuple):
     is_turn: the sensor was turned; otherwise, a zero stepped. size: (3,) rotation vector of the
     sensor [rad] or change of the zero [m/s^2], working axes. covariance: (3, 3) of it. log_odds:
     log of the statistic of any sudden change over its threshold, and over that of a long grade.
-    ahead: log of the odds against the other
-    cause. onset: place of the onset. blocks: number of blocks since the onset. level: upward force
-    before it [m/s^2].
+    ahead: log of the odds against the other cause. onset: place of the onset. blocks: number of
+    blocks since the onset. level: upward force before it [m/s^2].
     """
 
     is_turn: bool
@@ -132,12 +131,7 @@ class Onsets:
     """
 
     def __init__(self, unknowns: int) -> None:
-        self._unknowns = unknowns
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin again, without any onset."""
-        k = self._unknowns
+        k = self._unknowns = unknowns
         self.began = np.zeros(0)
         self.shift = np.zeros((STATES, 0))
         self.information, self.score = np.zeros((0, k, k)), np.zeros((0, k))
@@ -190,7 +184,7 @@ def _fitted(onsets: Onsets, one: ChangeHypothesis) -> _Fit:
     known = onsets.information[:, one.columns, one.columns] + np.diag(weight)
     score, expected = onsets.score[:, one.columns], np.zeros((len(known), len(weight)))
     size = solved(known, score[:, :, None])[..., 0]
-    if one is not STEPPED and one is not GRADE:
+    if one.is_turn:
         expected[:, 3] = -0.5 * GRAVITY * np.square(size[:, :2]).sum(axis=1)
         score = score + weight * expected
         size = solved(known, score[:, :, None])[..., 0]
@@ -205,7 +199,7 @@ def likeliest_step(
     """Return the most likely step. now, a_block: in the unit of the onsets' times. log_onsets: log
     of the number of onsets in which one false alarm may come. level: upward force so far [m/s^2].
     """
-    fits = [_fitted(onsets, one) for one in (*TURNS, STEPPED, GRADE)]
+    fits = [_fitted(onsets, one) for one in (NOT_FELT, FELT, STEPPED, GRADE)]
     logs = [fit.log for fit in fits]
     turned, stepped = np.logaddexp.reduce([*logs[0], *logs[1]]), np.logaddexp.reduce(logs[2])
     no_change = np.logaddexp(log_onsets, np.logaddexp.reduce(logs[3]))
