@@ -31,17 +31,19 @@ FIRST_TICKS = 64
 class CarriedVertical:
     """Carries the vertical from block to block.
 
-    State: `up` (3,), its sensitivity to cross-talk of the gyroscope (3, 3), and the time carried.
+    up: (3,) now; None before any block. Further state: its sensitivity to cross-talk of the
+    gyroscope (3, 3), and the time carried. pull_s: time constant of the pull [s].
     """
 
-    def __init__(self) -> None:
-        self._up: Array | None = None
+    def __init__(self, pull_s: float = PULL_S) -> None:
+        self._pull_s = pull_s
+        self.up: Array | None = None
         self._tilts = np.zeros((3, 3))
         self._ticks = 0
 
     def restart(self) -> None:
         """Forget the vertical, because time jumped or the rotation was not known."""
-        self._up = None
+        self.up = None
         self._tilts = np.zeros((3, 3))
         self._ticks = 0
 
@@ -54,23 +56,23 @@ class CarriedVertical:
         about z against the accelerometer [rad].
         """
         n = len(rate)
-        if self._up is None:
+        if self.up is None:
             first = pull[:FIRST_TICKS][use[:FIRST_TICKS]]
-            self._up = first.mean(axis=0) if len(first) else np.array([0.0, 0.0, 1.0])
+            self.up = first.mean(axis=0) if len(first) else np.array([0.0, 0.0, 1.0])
         turns = _matrices(_prefix_products(_small_turns(-rate * TICK_S)))  # block's start -> now
         age = (self._ticks + np.arange(n)) * TICK_S
-        gain = use * TICK_S / np.minimum(PULL_S, FIRST_PULL_S + age)
+        gain = use * TICK_S / np.minimum(self._pull_s, FIRST_PULL_S + age)
         kept = np.cumprod(1.0 - gain)
         back = turns.transpose(0, 2, 1)
         pulled = (back @ pull[:, :, None])[:, :, 0]
         drawn = np.cumsum((gain / kept)[:, None] * pulled, axis=0)
-        fixed = kept[:, None] * (self._up + drawn)
+        fixed = kept[:, None] * (self.up + drawn)
         up = (turns @ fixed[:, :, None])[:, :, 0]
         tilting = -TICK_S * _wrong_turns(rate, up)
         turned_back = tilting @ turns  # rows: back @ tilting
         grown = np.cumsum(turned_back / kept[:, None, None], axis=0)
         tilts = (kept[:, None, None] * (self._tilts + grown)) @ back
-        self._up, self._tilts = up[-1], tilts[-1]
+        self.up, self._tilts = up[-1], tilts[-1]
         self._ticks += n
         return up, tilts
 

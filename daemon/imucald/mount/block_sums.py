@@ -23,7 +23,6 @@ from imucald.drive.speed_knots import means_between
 from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import SignalBlock
-from imucald.mount.vertical_block import FORCE_NOISE
 
 
 class BlockSums(NamedTuple):
@@ -85,6 +84,8 @@ def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
     return int(n), x, y, z
 
 
+FORCE_NOISE = 0.06
+"""Noise of a tick of the force without disturbance [m/s^2], rms."""
 PRIOR_TICKS = 16.0
 """Weight of the prior `FORCE_NOISE` in the noise of a block, as a number of ticks."""
 TOGETHER = 3.0
