@@ -152,7 +152,7 @@ def _measured_drives(part: str | None, unseen: bool) -> tuple[str, ...]:
 def _run(case: Case, replays: bool) -> tuple[Verdict, str, str]:
     folder = FOLDER / "init"
     folder.mkdir(parents=True, exist_ok=True)
-    recording = GatheredFrames.of(LogReader([case.log]))
+    recording = GatheredFrames.from_chunks(LogReader([case.log]))
     path = os.path.relpath(case.database, folder)
     database = load_database([case.database])
     proposal = discover({path: database}, recording)

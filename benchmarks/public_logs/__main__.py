@@ -106,7 +106,7 @@ def _found(log: PublicLog, folder: Path, without_names: bool) -> Verdict:
     out = database.parent / "proposed.yaml"
     loaded = load_database([database])
     proposal = discover(
-        {database.name: loaded}, GatheredFrames.of(LogReader([folder / "drive.log"]))
+        {database.name: loaded}, GatheredFrames.from_chunks(LogReader([folder / "drive.log"]))
     )
     proposal.driving_side = load_config(right).config.vehicle.driving_side
     out.write_text(as_yaml(proposal, [database.name]))

@@ -228,7 +228,7 @@ class FORMAT:
 
     def read(self, path, report):
         index = self.channels.index("can7")
-        if not self.filters.of("can7").wanted(0x123):
+        if not self.filters.filter_of("can7").wanted(0x123):
             return
         self.statistics.frames_read += 1
         data = np.frombuffer(path.read_bytes(), np.uint8)[None]

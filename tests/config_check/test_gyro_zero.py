@@ -44,7 +44,7 @@ def of_the_gyroscope(seed: int, signs: tuple[int, int, int], zero: np.ndarray) -
     gyro = samples["gyro"]
     samples["gyro"] = Series(gyro.t, gyro.values * np.array(signs) + zero)
     means = TickMeans()
-    means.add(samples)
+    means.add_samples(samples)
     found = judge(Motion(means.grid(), planar=False), VEHICLE)
     return [f for f in found if f.quantity == "gyroscope" and f.level != "note"]
 

@@ -23,7 +23,7 @@ TICK_RATE = 10.0
 def drive(seed: int = 9102) -> dict[str, Array]:
     """The signals of six minutes of driving, by channel, at ticks."""
     means = TickMeans()
-    means.add(simulate(random_model(seed, standing_first=True), seed, 6.0).samples)
+    means.add_samples(simulate(random_model(seed, standing_first=True), seed, 6.0).samples)
     return means.grid()
 
 

@@ -39,7 +39,7 @@ def motion(**changes: np.ndarray) -> Motion:
         series = samples[channel]
         samples[channel] = Series(series.t, series.values @ matrix.T)
     means = TickMeans()
-    means.add(samples)
+    means.add_samples(samples)
     return Motion(means.grid(), planar=False)
 
 
@@ -54,7 +54,7 @@ def test_a_wrong_unit_of_the_speed_is_no_gyroscopes(factor):
     samples = dict(alone())
     samples["speed"] = Series(samples["speed"].t, factor * samples["speed"].values)
     means = TickMeans()
-    means.add(samples)
+    means.add_samples(samples)
     vehicle = VehicleSettings(track=1.5, wheelbase=2.7, steering_ratio=16.0)
     found = judge(Motion(means.grid(), planar=False), vehicle)
     assert {f.quantity for f in found if f.level in ("error", "warning")} == {"speed"}
@@ -122,5 +122,5 @@ def test_a_zero_error_of_the_gyroscope_in_a_drive_with_stops_accuses_no_axis(zer
         short = series.t < 200.0
         samples[channel] = Series(series.t[short], (series.values @ R + error)[short])
     means = TickMeans()
-    means.add(samples)
+    means.add_samples(samples)
     assert list(turning_axis_findings(Motion(means.grid(), planar=False))) == []

@@ -112,7 +112,7 @@ class Fixed(State):
     def evaluated(self) -> Problem:
         assert self.problem is not None
         free = [k for k in self.free if k in self.problem.table.keys]
-        return Problem.of(self.problem.table, free, {})
+        return Problem.from_table(self.problem.table, free, {})
 
     def apply(self, changes) -> None:
         pass

@@ -193,7 +193,7 @@ def test_the_effect_of_a_bias_is_its_column():
 
 def test_a_channel_is_read_at_any_delay():
     t = np.arange(0.0, 60.0, 0.01)
-    channel = Channel.of(Series(t, np.sin(t)))
+    channel = Channel.from_series(Series(t, np.sin(t)))
     at = np.arange(5.0, 50.0, 0.1)
     assert channel.means(at + 0.25) == pytest.approx(np.sin(at + 0.25), abs=2e-3)
 
@@ -227,7 +227,7 @@ def test_who_shares_a_stamp_and_says_something_else_is_kept_out_and_is_no_duplic
     t[20] = t[19]
     assert not duplicates(Series(t, x), 0.5).any()
     assert np.flatnonzero(unusable(Series(t, x), 0.5)).tolist() == [20]
-    assert 20.0 not in Channel.of(Series(t, x)).values
+    assert 20.0 not in Channel.from_series(Series(t, x)).values
 
 
 def test_stops_are_those_that_speed_and_gyroscope_agree_on():

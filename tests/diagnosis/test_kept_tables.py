@@ -27,22 +27,22 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def test_a_table_is_made_once_for_each_model(made):
     tables = KeptTables()
-    first, forwards = tables.of((), "a")
+    first, forwards = tables.table_for((), "a")
     assert forwards == ["a"]
-    assert tables.of((), "b")[0] is not first
-    assert tables.of((), "a")[0] is first
+    assert tables.table_for((), "b")[0] is not first
+    assert tables.table_for((), "a")[0] is first
     assert made == ["a", "b"]
 
 
 def test_what_was_not_asked_for_the_longest_makes_room(made):
     tables = KeptTables()
     for model in "abcad":
-        tables.of((), model)
+        tables.table_for((), model)
     made.clear()
     for model in "acd":
-        tables.of((), model)
+        tables.table_for((), model)
     assert made == []
-    tables.of((), "b")
+    tables.table_for((), "b")
     assert made == ["b"]
 
 
@@ -50,5 +50,5 @@ def test_a_table_larger_than_all_room_is_kept_while_it_is_the_last(made, monkeyp
     monkeypatch.setattr(blocks, "MOST_BYTES", 10)
     tables = KeptTables()
     for model in "aab":
-        tables.of((), model)
+        tables.table_for((), model)
     assert made == ["a", "b"]

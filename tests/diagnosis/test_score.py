@@ -36,7 +36,7 @@ def table(x=(0.0, 0.0, 0.0), blocks=40, rows=30, seed=0, noise=1.0, loud=None) -
 
 
 def problem(t: Table) -> Problem:
-    return Problem.of(t, (), {})
+    return Problem.from_table(t, (), {})
 
 
 def test_a_box_fit_is_the_bounded_least_squares_of_scipy():
@@ -131,9 +131,9 @@ def test_a_direction_moves_its_parameters_together():
 
 def test_direct_evidence_bounds_the_fit():
     t = table((0.5, 0.0, 0.0))
-    bound = Problem.of(t, (), {"accel.bias.x": (-0.02, 0.02)})
+    bound = Problem.from_table(t, (), {"accel.bias.x": (-0.02, 0.02)})
     assert abs(bound.fit()[0]) <= 0.02 + 1e-9
-    free = Problem.of(t, ("accel.bias.x",), {})
+    free = Problem.from_table(t, ("accel.bias.x",), {})
     assert free.fit()[0] == pytest.approx(0.5, abs=0.08)
 
 

@@ -66,7 +66,7 @@ def test_each_element_that_joins_others_is_one_more_question():
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), np.full(n, 0.02), np.zeros(n),
         np.tile([-1.0, 1.0], (n, 1)), {}, 30.0, {}, np.zeros((BLOCKS, 2)), np.arange(BLOCKS),
     )  # fmt: skip
-    problem = Problem.of(table, (), {})
+    problem = Problem.from_table(table, (), {})
     base = held_out(problem)
     single = [tried(problem, Hypothesis("accel_cross_axis", (k,), ({k: 1.0},)), base, 2)
               for k in keys]  # fmt: skip
@@ -111,7 +111,7 @@ def test_a_drift_is_asked_of_another_table_over_that_ones_blocks():
     drift = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=np.linspace(0.0, 1.0, BLOCKS))
     same, fewer = table(np.arange(BLOCKS)), table(np.arange(0, BLOCKS, 2))
     assert on_table(drift, same) is drift
-    problem = Problem.of(fewer, (), {})
+    problem = Problem.from_table(fewer, (), {})
     again = tried(problem, on_table(drift, fewer), held_out(problem), 2)
     assert len(again.gain) == len(fewer.start_s)
     assert again.hypothesis.pattern == pytest.approx(np.linspace(0.0, 1.0, BLOCKS // 2))

@@ -32,7 +32,7 @@ EXAMPLE = ROOT / "dbc" / "imucald_example.dbc"
 
 def proposed(database: Path, *logs: Path) -> Proposal:
     """What is proposed for a log."""
-    frames = GatheredFrames.of(LogReader(list(logs))) if logs else GatheredFrames()
+    frames = GatheredFrames.from_chunks(LogReader(list(logs))) if logs else GatheredFrames()
     return discover({str(database): load_database([database])}, frames)
 
 
@@ -90,7 +90,7 @@ def test_only_the_part_before_or_after_a_move_of_the_sensor_is_used(tmp_path, ca
 def test_a_recorder_that_drops_frames_is_named(drive, share):
     frames = concatenate(list(LogReader([drive])))
     kept = frames.take(np.random.default_rng(1).random(len(frames)) >= share)
-    recording = GatheredFrames.of([kept])
+    recording = GatheredFrames.from_chunks([kept])
     proposal = discover({"car.dbc": load_database([EXAMPLE])}, recording)
     text = "% of the frames of each message are lost: the recorder seems to drop frames"
     assert (proposal.loss is None) == (share == 0.0)
@@ -219,7 +219,7 @@ def test_a_database_of_another_vehicle_is_reported(drive):
     other = load_database_text(
         'VERSION ""\nBS_:\nBU_: A\nBO_ 5 Other: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n', "dbc"
     )
-    proposal = discover({"other.dbc": other}, GatheredFrames.of(LogReader([drive])))
+    proposal = discover({"other.dbc": other}, GatheredFrames.from_chunks(LogReader([drive])))
     assert any("Is it the database of this vehicle" in note for note in proposal.notes)
 
 
@@ -242,7 +242,7 @@ def test_all_ones_that_are_jumped_to_are_not_available():
         np.pad(raw.view(np.uint8).reshape(-1, 2), ((0, 0), (0, 6))), np.zeros(1000, np.uint8),
         ("can0",),
     )  # fmt: skip
-    (one,) = messages_in(database, GatheredFrames.of([frames]).traffic(), None)
+    (one,) = messages_in(database, GatheredFrames.from_chunks([frames]).traffic(), None)
     (signal,) = candidates_of(one, 200)
     assert signal.unavailable == (0xFFFF,)
     assert signal.largest < 5001
@@ -271,7 +271,7 @@ def random_frames(seed: int, kind: str) -> FrameColumns:
 @pytest.mark.parametrize("kind", ["random", "walks", "constant"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_signals_without_meaning_prove_nothing(seed, kind):
-    frames = GatheredFrames.of([random_frames(seed, kind)])
+    frames = GatheredFrames.from_chunks([random_frames(seed, kind)])
     proposal = discover({"car.dbc": load_database([EXAMPLE])}, frames)
     assert not [c.quantity for c in proposal.choices if c.is_sure]
     parse_config(as_yaml(proposal, ["car.dbc"]))
@@ -279,7 +279,7 @@ def test_signals_without_meaning_prove_nothing(seed, kind):
 
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_a_few_frames_are_survived(count):
-    frames = GatheredFrames.of([random_frames(3, "random").take(slice(0, count))])
+    frames = GatheredFrames.from_chunks([random_frames(3, "random").take(slice(0, count))])
     assert discover({"car.dbc": load_database([EXAMPLE])}, frames).notes
 
 
@@ -413,7 +413,7 @@ def test_axes_in_two_messages_are_found_and_not_taken_for_a_level_sensor(moved, 
         ids[number] = number + 0x100
         other = head.replace(f"{number} {message}", f"{number + 0x100} {message}_{moved}")
         text = text.replace(f"{line}\n", "").replace(head, f"{other}\n{line}\n\n{head}")
-    frames = GatheredFrames.of([copied(concatenate(list(LogReader([drive]))), ids)])
+    frames = GatheredFrames.from_chunks([copied(concatenate(list(LogReader([drive]))), ids)])
     proposal = discover({"other.dbc": load_database_text(text, "dbc")}, frames)
     for quantity, name in (("accelerometer", "Accel"), ("gyroscope", "Rate")):
         choice = proposal.choice(quantity)
@@ -426,7 +426,7 @@ def test_an_axis_that_is_cut_off_is_no_axis_of_another_message(drive):
     """The car's yaw rate, in the same unit, fits a gyroscope without z in all but its mount."""
     frames = concatenate(list(LogReader([drive])))
     length = np.where(frames.can_id == 0x201, 4, frames.length).astype(frames.length.dtype)
-    cut = GatheredFrames.of([structs.replace(frames, length=length)])
+    cut = GatheredFrames.from_chunks([structs.replace(frames, length=length)])
     proposal = discover({"car.dbc": load_database([EXAMPLE])}, cut)
     choice = proposal.choice("gyroscope")
     assert choice is None or not choice.is_sure
@@ -558,7 +558,7 @@ def test_speed_of_obd_answers_is_offered_as_bytes():
 @pytest.mark.skipif(not (SHARED_DATA / "mustang_s550").exists(), reason="measured drives absent")
 def test_without_a_database_bytes_of_speed_and_steering_are_offered():
     log = SHARED_DATA / "mustang_s550" / "drive.log.gz"
-    proposal = discover({}, GatheredFrames.of(LogReader([log])))
+    proposal = discover({}, GatheredFrames.from_chunks(LogReader([log])))
     offers = {
         choice.quantity: {source.raw["id"] for other in choice.alternatives
                           for source in other.sources.values() if source.raw}
@@ -587,7 +587,7 @@ def test_bytes_of_a_described_j1939_message_are_not_offered_as_bytes_that_no_dat
     can_id = np.where(frames.can_id == 0x201, sent, frames.can_id).astype(frames.can_id.dtype)
     data = frames.data.copy()
     data[np.ix_(frames.can_id == 0x201, (1, 3, 5))] ^= 0x80
-    recording = GatheredFrames.of([structs.replace(frames, can_id=can_id, data=data)])
+    recording = GatheredFrames.from_chunks([structs.replace(frames, can_id=can_id, data=data)])
     proposal = discover({"car.dbc": load_database_text(text, "dbc")}, recording)
     assert proposal.choice("gyroscope").sources["z"].signal == "IMU_Gyro.RateZ"
     offered = [
@@ -608,7 +608,7 @@ def test_j1939_messages_of_a_database_that_does_not_say_so_are_found_by_their_pg
     can_id = np.where(frames.can_id == 0x201, sent, frames.can_id).astype(frames.can_id.dtype)
     database = tmp_path / "car.dbc"
     database.write_text(text)
-    recording = GatheredFrames.of([structs.replace(frames, can_id=can_id)])
+    recording = GatheredFrames.from_chunks([structs.replace(frames, can_id=can_id)])
     proposal = discover({"car.dbc": load_database([database])}, recording)
     assert proposal.choice("gyroscope").sources["z"].signal == "IMU_Gyro.RateZ"
     out = tmp_path / "car.yaml"
@@ -622,7 +622,9 @@ def test_j1939_messages_of_a_database_that_does_not_say_so_are_found_by_their_pg
 
 def test_of_two_accelerometers_the_one_that_belongs_to_the_gyroscope_is_taken_and_unsure(drive):
     """The other one sits otherwise, and shows the changes of speed as well."""
-    frames = GatheredFrames.of([copied(concatenate(list(LogReader([drive]))), {0x200: 0x180})])
+    frames = GatheredFrames.from_chunks(
+        [copied(concatenate(list(LogReader([drive]))), {0x200: 0x180})]
+    )
     text = EXAMPLE.read_text()
     axes = re.findall(r" SG_ Accel[XYZ] : .*\n", text)
     order = zip(axes, "XYZ", "YZX", strict=True)

@@ -73,7 +73,7 @@ def proposed(folder: Path, lines: list[str], *, name: str, accel_sign: int) -> P
     database.write_text(text[:place] + message + text[place:])
     log = folder / "drive.log"
     log.write_text("\n".join(lines) + "\n")
-    frames = GatheredFrames.of(LogReader([log]))
+    frames = GatheredFrames.from_chunks(LogReader([log]))
     return discover({str(database): load_database([database])}, frames)
 
 

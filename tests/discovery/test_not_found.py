@@ -27,7 +27,9 @@ def recorded(tmp_path_factory) -> FrameColumns:
 
 
 def proposed(text: str, frames: FrameColumns) -> Proposal:
-    return discover({"car.dbc": load_database_text(text, "dbc")}, GatheredFrames.of([frames]))
+    return discover(
+        {"car.dbc": load_database_text(text, "dbc")}, GatheredFrames.from_chunks([frames])
+    )
 
 
 def of_message(frames: FrameColumns, name: str) -> np.ndarray:

@@ -93,7 +93,7 @@ def _database() -> str:
 def test_a_sign_in_a_bit_of_its_own_is_proposed_with_the_sense_that_the_turns_show(
     recorded, one_is_negative
 ):
-    frames = GatheredFrames.of([as_magnitudes(recorded, one_is_negative)])
+    frames = GatheredFrames.from_chunks([as_magnitudes(recorded, one_is_negative)])
     proposal = discover({"car.dbc": load_database_text(_database(), "dbc")}, frames)
     choice = proposal.choice("steering_wheel_angle")
     assert choice.is_sure
@@ -105,7 +105,7 @@ def test_a_sign_in_a_bit_of_its_own_is_proposed_with_the_sense_that_the_turns_sh
 
 @pytest.mark.parametrize("one_is_negative", [True, False])
 def test_a_sign_in_another_message_is_proposed(recorded, one_is_negative):
-    frames = GatheredFrames.of([as_magnitudes(recorded, one_is_negative, apart=True)])
+    frames = GatheredFrames.from_chunks([as_magnitudes(recorded, one_is_negative, apart=True)])
     proposal = discover({"car.dbc": load_database_text(_database(), "dbc")}, frames)
     choice = proposal.choice("steering_wheel_angle")
     source = choice.sources[""]

@@ -33,7 +33,7 @@ def triads_of(force_g: np.ndarray, unit: str) -> list[Triad]:
         np.pad(raw, ((0, 0), (0, 2))), np.zeros(n, np.uint8), ("can0",),
     )  # fmt: skip
     database = load_database_text(DATABASE.format(unit=unit), "dbc")
-    (message,) = messages_in(database, GatheredFrames.of([frames]).traffic(), None)
+    (message,) = messages_in(database, GatheredFrames.from_chunks([frames]).traffic(), None)
     return accelerometers(candidates_of(message, int(n / RATE * 10.0)))
 
 
@@ -83,7 +83,7 @@ def test_axes_that_come_at_two_rates_are_a_sensor_where_their_names_say_so(names
         padded = np.pad(data, ((0, 0), (0, 4)))
         parts.append(FrameColumns(t / RATE, ids, length, padded, channel, ("can0",)))
     whole = concatenate(parts)
-    frames = GatheredFrames.of([whole.take(np.argsort(whole.t, kind="stable"))])
+    frames = GatheredFrames.from_chunks([whole.take(np.argsort(whole.t, kind="stable"))])
     database = load_database_text(TWO_RATES.format(*names), "dbc")
     candidates = [
         candidate

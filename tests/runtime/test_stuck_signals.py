@@ -126,7 +126,7 @@ def test_nothing_is_reported_of_a_sound_drive() -> None:
 def test_check_names_a_stuck_signal(channel: str) -> None:
     config: Config = loaded().config
     health = LogHealth(AXES, config)
-    health.add(stuck(channel), 60.0 * MINUTES)
+    health.add_samples(stuck(channel), 60.0 * MINUTES)
     (finding,) = health_findings(health.events)
     assert (finding.level, finding.quantity) == ("warning", channel)
     assert finding.text.startswith("repeats one value (stuck, from ")

@@ -73,7 +73,7 @@ class IdFilters:
         self._keep = keep
         self._of: dict[str, IdFilter] = {}
 
-    def of(self, channel: str) -> IdFilter:
+    def filter_of(self, channel: str) -> IdFilter:
         """Return the filter of a channel. Ask only for channels that `Channels` accepted."""
         if channel not in self._of:
             self._of[channel] = IdFilter(self._keep, channel)

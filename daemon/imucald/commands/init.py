@@ -173,7 +173,7 @@ def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:
 
     with progress_bar("init") as progress:
         reader = LogReader(logs, None, False, progress, list(stated_cycles(databases)))
-        recording = GatheredFrames.of(reader)
+        recording = GatheredFrames.from_chunks(reader)
     print_problems(reader.problems)
     return recording
 
@@ -189,5 +189,7 @@ def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> G
         interface, channel = SOCKETCAN, interface or channel
     fd = any(m.is_fd for d in databases.values() for m in d.messages.values())
     recording = GatheredFrames()
-    listen(Link(interface, channel, receive=EVERY_FRAME, fd=fd), options.seconds, recording.add)
+    listen(
+        Link(interface, channel, receive=EVERY_FRAME, fd=fd), options.seconds, recording.add_chunk
+    )
     return recording

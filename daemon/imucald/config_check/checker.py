@@ -111,10 +111,10 @@ class Check:
         for segment in self._timebase.segments(frames.t):
             chunk = frames.take(slice(segment.start, segment.stop))
             samples = self.router.columns(segment.t, chunk).samples
-            self._means.add(samples)
+            self._means.add_samples(samples)
             if segment.gap:
                 self._health.gap(float(segment.t[0]))
-            self._health.add(samples, float(segment.t[-1]))
+            self._health.add_samples(samples, float(segment.t[-1]))
 
     def _meet(self, channel: str, can_id: int) -> None:
         """Store the J1939 source address of a new id, if frames of all senders are accepted."""

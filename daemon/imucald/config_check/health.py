@@ -78,7 +78,7 @@ class LogHealth:
         """Register a jump of stream time to t [s]."""
         self._pipeline.gap(tick_index(t))
 
-    def add(self, samples: Samples, t_last: float) -> None:
+    def add_samples(self, samples: Samples, t_last: float) -> None:
         """Add samples of all channels, up to stream time t_last [s]."""
         self._pipeline.run(samples, {}, t_last, with_snapshots=False)
 

@@ -34,7 +34,7 @@ class TickMeans:
         self._sums: dict[str, Array] = {}
         self._counts: dict[str, Array] = {}
 
-    def add(self, samples: Samples) -> None:
+    def add_samples(self, samples: Samples) -> None:
         """Add samples by channel; times are stream times."""
         for channel, series in samples.items():
             ticks = np.floor(series.t * TICK_RATE).astype(np.int64)

@@ -38,7 +38,7 @@ class Range:
         self.largest = -math.inf
         self._sum = 0.0
 
-    def add(self, values: Array) -> None:
+    def add_values(self, values: Array) -> None:
         """Add finite values (N,)."""
         if not len(values):
             return
@@ -76,12 +76,12 @@ class SignalStatistics:
         self.si = Range()
         self.rejected: Counter[str] = Counter()
 
-    def add(self, raw: NDArray[np.generic], physical: Array) -> None:
+    def add_values(self, raw: NDArray[np.generic], physical: Array) -> None:
         """Add raw and physical values (N,)."""
         values, codes = self.conversion.array(raw, physical)
         good = codes == 0
-        self.physical.add(physical[good])
-        self.si.add(values[good])
+        self.physical.add_values(physical[good])
+        self.si.add_values(values[good])
         for code in np.unique(codes[~good]).tolist():
             self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
 
@@ -95,7 +95,7 @@ class _Times:
         self.last: float | None = None
         """Stream time of the last frame [s]."""
 
-    def add(self, t: Array) -> None:
+    def add_times(self, t: Array) -> None:
         """Add the times (N,) of the next frames."""
         if not len(t):
             return
@@ -222,11 +222,11 @@ class Probe:
             self.shortest = min(self.shortest, int(frames.length[ours].min()))
         if DOUBLED in bad:  # the original frame has the same time
             ours[bad[DOUBLED]] = False
-        self._times.add(t[ours])
+        self._times.add_times(t[ours])
         if isinstance(self.route, MessageRoute):
             presence = self.route.plan.presence(frames.data, frames.length)
             for selectors, present in presence.items():
-                self._of_groups.setdefault(selectors, _Times()).add(t[ours & present])
+                self._of_groups.setdefault(selectors, _Times()).add_times(t[ours & present])
 
     def see_values(self, columns: Columns) -> None:
         """Add values to the ranges of the signals."""
@@ -235,4 +235,4 @@ class Probe:
                 raw, physical, present = columns[component.index]
                 if present is not None:
                     raw, physical = raw[present], physical[present]
-                self.signals[tap.channel, tap.rank, slot].add(raw, physical)
+                self.signals[tap.channel, tap.rank, slot].add_values(raw, physical)

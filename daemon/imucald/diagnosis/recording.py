@@ -78,7 +78,7 @@ def read_samples(
         for segment in timebase.segments(chunk.t):
             whole = segment.stop - segment.start == len(chunk)
             frames = chunk if whole else chunk.take(slice(segment.start, segment.stop))
-            kept.add(router.columns(segment.t, frames), segment)
+            kept.add_segment(router.columns(segment.t, frames), segment)
     _refuse_empty(paths, reader, router)
     rejected = Counter(reader.rejected)
     rejected.update(router.rejected)
@@ -118,7 +118,7 @@ class _Kept:
         self._t: dict[str, list[Array]] = {}
         self._values: dict[str, list[Array]] = {}
 
-    def add(self, routed: Routed, segment: TimeSegment) -> None:
+    def add_segment(self, routed: Routed, segment: TimeSegment) -> None:
         """Take the samples of a time segment."""
         if segment.gap:
             self.gaps.append(float(segment.t[0]))

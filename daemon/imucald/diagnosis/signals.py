@@ -67,7 +67,7 @@ class Channel:
     _integral: Array = field(repr=False)
 
     @staticmethod
-    def of(series: Series, bad: Spans = ()) -> Channel:
+    def from_series(series: Series, bad: Spans = ()) -> Channel:
         """Drop unusable samples and integrate."""
         t, values = series.t, series.values
         period = float(np.median(np.diff(t))) if len(t) > 2 else np.inf
@@ -206,7 +206,7 @@ def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveS
     require(samples)
     known = bad or {}
     channels = {
-        name: Channel.of(series, known.get(name, ()))
+        name: Channel.from_series(series, known.get(name, ()))
         for name, series in samples.items()
         if len(series.t) >= 10
     }
@@ -237,7 +237,7 @@ def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
         reverse = channels["reverse"]
         index = np.clip(np.searchsorted(reverse.t, at, side="right") - 1, 0, None)
         values = np.where(reverse.values[index] > 0.5, -values, values)
-    return Channel.of(Series(at, values), speed.bad)
+    return Channel.from_series(Series(at, values), speed.bad)
 
 
 def _stops(channels: Mapping[str, Channel], knots: Channel, t: Array) -> tuple[Stop, ...]:

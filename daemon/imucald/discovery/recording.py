@@ -42,16 +42,16 @@ class GatheredFrames:
         """True if more frames came than could be collected."""
 
     @classmethod
-    def of(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:
+    def from_chunks(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:
         """Collect chunks up to the limits."""
         recording = cls()
         for chunk in chunks:
-            recording.add(chunk)
+            recording.add_chunk(chunk)
             if recording.is_full:
                 break
         return recording
 
-    def add(self, frames: FrameColumns) -> None:
+    def add_chunk(self, frames: FrameColumns) -> None:
         """Add a chunk of frames of a log or a bus. It must include unwanted frames."""
         for segment in self._timebase.segments(frames.t):
             if self.is_full or not len(segment.t):
@@ -71,7 +71,7 @@ class GatheredFrames:
         """Return the frames of a part of the recording; times [s] count from its first frame."""
         made = GatheredFrames()
         for part in self._parts:
-            made.add(part.take((part.t >= first) & (part.t < last)))
+            made.add_chunk(part.take((part.t >= first) & (part.t < last)))
         return made
 
     @property

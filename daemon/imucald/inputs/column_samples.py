@@ -74,7 +74,9 @@ def assembled(
     for row, tap, t, value, code in in_row_order(found):
         values: Sequence[float] | None = value
         if not tap.complete:
-            values, bad = assemblers[channel, tap.rank].add(t, tap.slots, None if code else value)
+            values, bad = assemblers[channel, tap.rank].add_parts(
+                t, tap.slots, None if code else value
+            )
             if bad:
                 to = refused_values if code else refused
                 to.append((tap, np.array([row], dtype=np.int64)))

@@ -137,7 +137,7 @@ class Router:
         """Number of measured axes of each channel. A planar accelerometer has two."""
         return {t.channel: width_of(t.channel) - (t.third is not None) for t in self._taps()}
 
-    def step(self, channel: str) -> float:
+    def resolution(self, channel: str) -> float:
         """Largest resolution step of a channel's axes in SI; 0 if not known."""
         taps = (tap for tap in self._taps() if tap.channel == channel)
         return max((c.conversion.step for tap in taps for c in tap.components), default=0.0)
@@ -255,7 +255,7 @@ class Router:
             if code:
                 self.rejected[REASONS[code]] += 1
             if not tap.complete:
-                values, bad = self._assemblers[tap.channel, tap.rank].add(
+                values, bad = self._assemblers[tap.channel, tap.rank].add_parts(
                     t, tap.slots, None if code else values
                 )
                 if bad:

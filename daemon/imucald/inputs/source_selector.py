@@ -123,7 +123,7 @@ class TriadAssembler:
         self._values: list[float | None] = [None] * width
         self._times = [-math.inf] * width
 
-    def add(
+    def add_parts(
         self, t: float, slots: Sequence[int], values: Sequence[float] | None
     ) -> tuple[Sequence[float] | None, bool]:
         """Return (the complete triad or None, whether a rejected part made a sample invalid)."""

@@ -76,7 +76,7 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        _consumers(loaded, output, router.step("gyro")),
+        _consumers(loaded, output, router.resolution("gyro")),
         new_estimator,
         None
         if compensation is None

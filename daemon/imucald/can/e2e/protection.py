@@ -157,7 +157,7 @@ class MessageChecker:
         since = t - past.t
         if not 0.0 <= since <= self._timeout:  # the first, or after a silence
             past.begin(t, since)
-            past.take(t, value, data)
+            past.store_frame(t, value, data)
             return OK
         modulus = 1 if self._counter is None else self._counter.modulus
         past.attribute_early(t, value, modulus)
@@ -185,7 +185,7 @@ class MessageChecker:
         if code == OK:
             past.lost += max(0, distance - 1 - past.missed)
         past.go_on(t, since, due, distance if code == OK else 0)
-        past.take(t, value, data)
+        past.store_frame(t, value, data)
         return code
 
     def check_columns(

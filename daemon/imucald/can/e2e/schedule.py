@@ -171,7 +171,7 @@ class Past(Struct):
         if self.phase == TRIAL and t - self.tried >= proved:
             self.phase = IN_FORCE
 
-    def take(self, t: float, counter: int, data: bytes | bytearray) -> None:
+    def store_frame(self, t: float, counter: int, data: bytes | bytearray) -> None:
         """Store this frame for the comparison with the next frame."""
         self.data = b"" if counter < 0 or counter == self.counter else bytes(data)
         self.t, self.counter, self.missed = t, counter, 0

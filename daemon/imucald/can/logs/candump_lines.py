@@ -67,7 +67,7 @@ class _Known(Struct, frozen=True):
     masked_of: Index
 
     @classmethod
-    def of(cls, channels: Channels, filter_of: Callable[[str], IdFilter]) -> _Known:
+    def from_channels(cls, channels: Channels, filter_of: Callable[[str], IdFilter]) -> _Known:
         filters = [filter_of(name) for name in channels.names]
         names = np.zeros((len(filters), 1 + _NAME_BYTES), np.uint8)
         for row, name in zip(names, channels.names, strict=True):
@@ -144,7 +144,7 @@ class LineReader:
     ) -> bool:
         """Read until an action is needed. Return whether there are more lines."""
         if self._known is None:
-            self._known = _Known.of(self._channels, self._filter_of)
+            self._known = _Known.from_channels(self._channels, self._filter_of)
         counts[_ODD] = 0
         k = self._known
         stopped = kernels.candump(

@@ -55,7 +55,7 @@ class CandumpParser:
         self._filters = filters
         self._channels = channels
         self._statistics = statistics
-        self._lines = LineReader(channels, filters.of, self._index_of)
+        self._lines = LineReader(channels, filters.filter_of, self._index_of)
 
     def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
         """Return the wanted frames in the complete lines `buf[:size]`, and the number of lines.
@@ -106,7 +106,7 @@ class CandumpParser:
             self._statistics.reject_line(reason, place[0], place[1] + 1, words)
             return None
         self._statistics.frames_read += 1
-        return line if self._filters.of(line.channel).wanted(line.can_id) else None
+        return line if self._filters.filter_of(line.channel).wanted(line.can_id) else None
 
     def _stamp_first(self, lines: Iterable[bytes]) -> None:
         """Find the time stamp of the log's first frame, wanted or not."""

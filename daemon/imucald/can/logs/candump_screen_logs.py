@@ -107,18 +107,18 @@ class CandumpScreenReader:
         if index is None:
             return LineFault("too_many_channels", "more than 255 channels")
         if t is not None:
-            self._batches.add(t, frame.can_id, frame.data, frame.channel, frame.fd)
+            self._batches.add_frame(t, frame.can_id, frame.data, frame.channel, frame.fd)
         elif isinstance(time, CountedTimes):
             is_wanted = self._batches.is_wanted(index, frame.can_id, frame.channel)
             self._statistics.frames_read += not is_wanted
-            self._add_counted(time, time.take(frame, is_wanted))
+            self._add_counted(time, time.take_frame(frame, is_wanted))
         return None
 
     def _add_counted(self, time: CountedTimes, frames: list[tuple[float, ScreenFrame]]) -> None:
         if time.first is not None:
             self._statistics.stamp(time.first)
         for t, frame in frames:
-            self._batches.add(t, frame.can_id, frame.data, frame.channel, frame.fd)
+            self._batches.add_frame(t, frame.can_id, frame.data, frame.channel, frame.fd)
 
     def _look(self, first: list[bytes], name: str) -> StampedTimes | CountedTimes:
         """Find the form of a file's time stamps.

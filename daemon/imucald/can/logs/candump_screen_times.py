@@ -109,7 +109,7 @@ class CountedTimes:
         self.first: float | None = None
         """Time of the first frame in the file [s], known once its cycle has ended."""
 
-    def take(self, frame: ScreenFrame, is_wanted: bool) -> list[tuple[float, ScreenFrame]]:
+    def take_frame(self, frame: ScreenFrame, is_wanted: bool) -> list[tuple[float, ScreenFrame]]:
         """Process the next frame. Return the wanted frames whose time is now known, with times."""
         self._open += 1
         if is_wanted:

@@ -64,7 +64,7 @@ class FirstFrames:
         self._cycles = cycles
         self._seen: dict[bytes, Log] = {}
 
-    def of(self, path: Log, chunks: Iterable[FrameColumns]) -> Iterator[FrameColumns]:
+    def checked_chunks(self, path: Log, chunks: Iterable[FrameColumns]) -> Iterator[FrameColumns]:
         """Yield the chunks of a file that are not empty. Raises LogError if an earlier file began
         with the same frames at the same times, or if the time stamps are not in seconds."""
         begins = True

@@ -41,7 +41,7 @@ class FrameBatches:
         """True if the batch is full, so that `columns` should be called."""
         return len(self._batch) >= BATCH_FRAMES
 
-    def add(self, t: float, can_id: int, data: bytes, channel: str, fd: bool) -> bool:
+    def add_frame(self, t: float, can_id: int, data: bytes, channel: str, fd: bool) -> bool:
         """Count a valid frame and keep it if it is wanted. False if there are too many channels."""
         index = self._channels.index(channel)
         if index is None:
@@ -60,7 +60,7 @@ class FrameBatches:
         if key not in self._verdicts:
             if len(self._verdicts) == MAX_IDS:
                 self._verdicts.clear()
-            self._verdicts[key] = self._filters.of(channel).wanted(can_id)
+            self._verdicts[key] = self._filters.filter_of(channel).wanted(can_id)
         return self._verdicts[key]
 
     def columns(self) -> FrameColumns:

@@ -89,7 +89,7 @@ class GvretReader:
         if len(data) != length or not 0 <= length <= FD_BYTES:
             return "bad_length"
         wire_id = can_id | (CAN_EFF_FLAG if extended else 0)
-        added = self._batches.add(t, wire_id, data, f"can{bus}", length > CLASSIC_BYTES)
+        added = self._batches.add_frame(t, wire_id, data, f"can{bus}", length > CLASSIC_BYTES)
         return "" if added else "too_many_channels"
 
 

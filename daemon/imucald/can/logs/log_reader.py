@@ -147,9 +147,9 @@ class LogReader:
         for path in self._paths:
             with looked_at(path) as (head, handed):
                 chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
-                read = first_frames.of(path, chosen.read(handed, self._report))
+                read = first_frames.checked_chunks(path, chosen.read(handed, self._report))
                 for columns in by_the_clock(path, read, self._statistics):
-                    self._overlaps.take(path, columns)
+                    self._overlaps.register_frames(path, columns)
                     yield columns
             self._bytes_before += _file_bytes(path)
             self._report(0)

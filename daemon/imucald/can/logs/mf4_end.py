@@ -42,7 +42,7 @@ class _Structure:
         self._groups: list[tuple[int, int]] = []  # first channel, bytes of a record
         self._channels: dict[int, tuple[int, int, int]] = {}  # next, composition, end [bytes]
 
-    def take(self, at: int, kind: bytes, links: tuple[int, ...], data: bytes) -> None:
+    def register_block(self, at: int, kind: bytes, links: tuple[int, ...], data: bytes) -> None:
         """Register a block; data: the bytes after its links."""
         for link in filter(None, links[: _OWN_LINKS.get(kind, 0)]):
             if link in self._placed:
@@ -102,7 +102,7 @@ def mf4_end(path: Path) -> str | None:
             named = file.read(8 * min(count, size // 8))
             links = struct.unpack(f"<{len(named) // 8}Q", named[: len(named) // 8 * 8])
             head = file.read(max(_DEFLATED.size, _GROUP.size))
-            structure.take(at, kind, links, head)
+            structure.register_block(at, kind, links, head)
             if kind == b"##DZ" and len(head) >= _DEFLATED.size:
                 _, _, _, stated, packed = _DEFLATED.unpack_from(head)
                 file.seek(at + _BLOCK.size + 8 * count + _DEFLATED.size)

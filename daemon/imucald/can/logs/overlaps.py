@@ -32,7 +32,7 @@ class Overlaps:
     def __init__(self) -> None:
         self._spans: dict[str, tuple[float, float]] = {}
 
-    def take(self, log: Log, frames: FrameColumns) -> None:
+    def register_frames(self, log: Log, frames: FrameColumns) -> None:
         """Register frames of a file (at least one)."""
         first, last = float(frames.t.min()), float(frames.t.max())
         before = self._spans.get(str(log), (first, last))

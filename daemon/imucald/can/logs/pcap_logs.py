@@ -136,7 +136,7 @@ class PcapReader:
             return "bad_id"
         mask = CAN_EFF_MASK if word & CAN_EFF_FLAG else CAN_SFF_MASK
         can_id = word & mask | word & CAN_EFF_FLAG
-        return "" if self._batches.add(t, can_id, data, "can0", fd) else "too_many_channels"
+        return "" if self._batches.add_frame(t, can_id, data, "can0", fd) else "too_many_channels"
 
 
 def _unwrapped(packet: bytes, link: int) -> tuple[int, bytes]:

@@ -79,7 +79,7 @@ def by_the_clock(
                     "this was corrected. Better record with: candump -l can0"
                 )
         frames = chunk.at(loop.times(chunk.t)) if loop.length else chunk
-        bus.take(frames)
+        bus.add_frames(frames)
         if bursts is None:
             bursts = _Bursts(_burst_step(frames))
             if bursts.step:
@@ -88,7 +88,7 @@ def by_the_clock(
                     "with the same stamp were spread evenly, which is right to some "
                     "milliseconds. Better record with: candump -l can0"
                 )
-        if not bursts.step or len(frames := bursts.take(frames)):
+        if not bursts.step or len(frames := bursts.add_frames(frames)):
             yield frames
     if bursts is not None and bursts.step and len(rest := bursts.rest()):
         yield rest
@@ -154,7 +154,7 @@ class _BusTime:
         self._frames = self._back = 0
         self._first, self._end, self._last = math.inf, -math.inf, math.nan
 
-    def take(self, frames: FrameColumns) -> None:
+    def add_frames(self, frames: FrameColumns) -> None:
         """Add the next frames. Raises LogError if there are too many for their stamps."""
         t = frames.t
         if t[0] < self._last - DAMAGED_STEP or _steps_back(t).max(initial=0.0) > DAMAGED_STEP:
@@ -256,7 +256,7 @@ class _Bursts:
         self._before: float | None = None
         self._open: FrameColumns | None = None
 
-    def take(self, frames: FrameColumns) -> FrameColumns:
+    def add_frames(self, frames: FrameColumns) -> FrameColumns:
         """Add frames. Return the frames of completed bursts, with their times."""
         if self._open is not None:
             frames = concatenate([self._open, frames])

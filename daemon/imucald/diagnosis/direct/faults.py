@@ -56,7 +56,9 @@ def find_faults(
         else:
             own = (series.t, series.values) if name == "speed" else moving
             shown = list(stuck(name, series, samples, own))
-        if any(f.cause == STUCK for f in shown) and stays_until_off(name, Channel.of(series)):
+        if any(f.cause == STUCK for f in shown) and stays_until_off(
+            name, Channel.from_series(series)
+        ):
             shown = [f for f in shown if f.cause != STUCK]
         found += shown
         found += _timed(name, series, model)

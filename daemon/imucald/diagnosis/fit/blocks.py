@@ -403,7 +403,7 @@ class KeptTables:
     def __init__(self) -> None:
         self._kept: list[tuple[VehicleModel, Table, list[Forward]]] = []
 
-    def of(
+    def table_for(
         self, drives: Sequence[DriveSignals], model: VehicleModel
     ) -> tuple[Table, list[Forward]]:
         """The table of a model file; it is made if it is not in the cache. drives: always the

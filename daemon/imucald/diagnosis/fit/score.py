@@ -61,7 +61,9 @@ class Problem:
     high: Array
 
     @staticmethod
-    def of(table: Table, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]) -> Problem:
+    def from_table(
+        table: Table, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
+    ) -> Problem:
         """Problem with the box of tolerances; free keys are bounded by three times the plausible
         limits."""
         low, high = -table.tolerance.copy(), table.tolerance.copy()

@@ -92,10 +92,12 @@ class State:
     def evaluated(self) -> Problem:
         """Compare the drives with the present model."""
         if self.table is None or self._evaluated != self.model:
-            self.whole, self.forwards = self.tables.of(self.drives, self.model)
+            self.whole, self.forwards = self.tables.table_for(self.drives, self.model)
             self.table = self.whole.without(self.left_out)
             self._evaluated = self.model
-        return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
+        return Problem.from_table(
+            self.table, [k for k in self.free if k in self.table.keys], self.bounds
+        )
 
     def withdraw_shift(self) -> None:
         """Reduce a moved mount to "not ruled out"."""
