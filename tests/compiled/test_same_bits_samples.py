@@ -72,8 +72,8 @@ def test_hops_and_their_rails(seed: int) -> None:
             for axis in range(3):
                 at = AxisHops(axis, rows, entries, runs)
                 cut = len(some) // 2
-                on = rails[axis].step_through(at, some[:cut], moving)
-                on += [rails[axis].step(at, h, bool(moving[h]), h % 7 == 3) for h in some[cut:]]
+                on = rails[axis].take_hops(at, some[:cut], moving)
+                on += [rails[axis].take_hop(at, h, bool(moving[h]), h % 7 == 3) for h in some[cut:]]
                 both = rails[axis]._high, rails[axis]._low
                 figures = [(rail.surprise, rail.value, list(rail.recent)) for rail in both]
                 found.append((on, figures, rails[axis]._tops.hops, rails[axis]._tops.usual))

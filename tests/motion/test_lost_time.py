@@ -21,7 +21,7 @@ def losses(stamps):
     watch, highest, found = LostTime(), stamps[0], []
     for stamp in stamps:
         t = max(highest, float(stamp))
-        if lost := watch.take(t - highest):
+        if lost := watch.take_time_step(t - highest):
             found.append((t, lost))
         highest = t
     return found
@@ -44,15 +44,15 @@ def test_a_clock_set_back_is_found_as_soon_as_time_goes_on(rate, back):
 def test_it_is_seen_while_time_stands():
     watch = LostTime()
     for _ in range(200):
-        assert watch.take(0.01) == 0.0
+        assert watch.take_time_step(0.01) == 0.0
         assert watch.standing == 0.0
     seen = []
     for _ in range(20):
-        assert watch.take(0.0) == 0.0
+        assert watch.take_time_step(0.0) == 0.0
         seen.append(watch.standing)
     assert seen[4] == 0.0
     assert seen[-1] == pytest.approx(0.2)
-    assert watch.take(0.01) == pytest.approx(0.2)
+    assert watch.take_time_step(0.01) == pytest.approx(0.2)
     assert watch.standing == 0.0
 
 
@@ -91,7 +91,7 @@ def test_another_rate_is_no_lost_time():
 
 def test_nothing_is_said_before_the_cycle_is_known():
     watch = LostTime()
-    assert [watch.take(0.0) for _ in range(50)] == [0.0] * 50
+    assert [watch.take_time_step(0.0) for _ in range(50)] == [0.0] * 50
     assert not watch.standing
-    assert watch.take(0.01) == 0.0
+    assert watch.take_time_step(0.01) == 0.0
     assert math.isfinite(watch.standing)

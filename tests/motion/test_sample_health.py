@@ -367,7 +367,7 @@ def test_live_and_columns_say_the_same_at_the_same_time() -> None:
             live.close(k)
             k += 1
         value = samples[c].values[i]
-        live.add(c, value.tolist() if value.ndim else [float(value)])
+        live.add_sample(c, value.tolist() if value.ndim else [float(value)])
     expected = [e.as_dict() for e in whole.events]
     assert [e.as_dict() for e in live.events] == expected
     assert [e.as_dict() for e in pieces.events] == expected
@@ -528,7 +528,7 @@ def test_a_first_sample_after_a_gap_ends_no_run():
     """A sensor that starts later than the speed gave 50 runs without a sample: a division by 0."""
     runs = Runs()
     for _ in range(60):
-        runs.add(1, 0, 0)
+        runs.add_runs(1, 0, 0)
     assert runs.limit() == math.inf
 
 

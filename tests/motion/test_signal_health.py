@@ -116,9 +116,9 @@ def test_a_force_that_never_moves_is_held_after_a_second() -> None:
     held, row = HeldForce(), drive()[0].copy()
     row[ACCEL.min_x] = row[ACCEL.max_x] = row[ACCEL.x]
     force = (float(row[ACCEL.x]), float(row[ACCEL.y]), float(row[ACCEL.z]))
-    said = [held.step(row.tolist(), force) for _ in range(HELD_TICKS + 2)]
+    said = [held.take_tick(row.tolist(), force) for _ in range(HELD_TICKS + 2)]
     assert said == [False] * HELD_TICKS + [True, True]
-    assert not held.step(row.tolist(), (force[0] + 0.01, force[1], force[2]))
+    assert not held.take_tick(row.tolist(), (force[0] + 0.01, force[1], force[2]))
 
 
 def test_one_tick_and_many_agree_on_saturation() -> None:

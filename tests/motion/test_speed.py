@@ -40,7 +40,7 @@ def intervals(
         t = (k + 1) * TICK
         while pending and pending[0][0] < t:
             maker.add_speed(*pending.pop(0))
-        interval = maker.step(t, mean_accel(t - TICK, t), 0.1 * k, 9.8, 0.2, k not in bad)
+        interval = maker.take_tick(t, mean_accel(t - TICK, t), 0.1 * k, 9.8, 0.2, k not in bad)
         if interval is not None:
             out.append(interval)
     return out
@@ -102,18 +102,19 @@ def test_nothing_is_differenced_across_a_restart() -> None:
     maker = SpeedIntervalMaker(0.5, 0.0, 2.5)
     for k in range(20):
         maker.add_speed(k * TICK, 5.0)
-        maker.step((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
+        maker.take_tick((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
     maker.restart()
     for k in range(1000, 1030):
         maker.add_speed(k * TICK, 25.0)
-        interval = maker.step((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
+        interval = maker.take_tick((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
         assert interval is None or (interval.dvdt == 0.0 and interval.t0 >= 100.0)
 
 
 def test_an_unknown_yaw_rate_makes_the_blocks_unknown() -> None:
     maker = SpeedIntervalMaker(0.5, 0.0, 2.5)
     out = [
-        maker.step((k + 1) * TICK, 0, 0, 9.8, math.nan if k == 7 else 0.1, True) for k in range(30)
+        maker.take_tick((k + 1) * TICK, 0, 0, 9.8, math.nan if k == 7 else 0.1, True)
+        for k in range(30)
     ]
     rates = [b.yaw_rate for b in out if b is not None]
     assert sum(math.isnan(r) for r in rates) == 1

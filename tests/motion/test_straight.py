@@ -57,7 +57,7 @@ def last(source: YawRateSource, ticks: list[list[float]], at_rest: int = 0, **kw
     up, speed = kw.get("up", (0.0, 0.0, 1.0)), kw.get("speed", math.nan)
     rate = math.nan
     for i, row in enumerate(ticks):
-        rate = source.step(row, up, speed, i < at_rest)  # type: ignore[arg-type]
+        rate = source.take_tick(row, up, speed, i < at_rest)  # type: ignore[arg-type]
     return rate
 
 

@@ -11,11 +11,11 @@ NOISY = (50, 25, 8, 1)
 
 def stand(axis: StuckAxis, hops: int) -> None:
     for _ in range(hops):
-        assert not axis.step(False, NOISY, STEP, False)
+        assert not axis.take_hop(False, NOISY, STEP, False)
 
 
 def held(axis: StuckAxis, hops: int) -> list[bool]:
-    return [axis.step(False, (50, 0, 50 * k, 50 * k), STEP, False) for k in range(1, hops + 1)]
+    return [axis.take_hop(False, (50, 0, 50 * k, 50 * k), STEP, False) for k in range(1, hops + 1)]
 
 
 def test_an_axis_that_was_stuck_for_minutes_is_seen_again_the_next_time():

@@ -44,7 +44,7 @@ def accumulated(samples: dict[str, Series], bad: dict[str, np.ndarray], n: int) 
         for name, series in samples.items():
             for t, value in zip(series.t.tolist(), series.values.tolist(), strict=True):
                 if tick_index(t) == k:
-                    accumulator.add(name, t, value if isinstance(value, list) else [value])
+                    accumulator.add_sample(name, t, value if isinstance(value, list) else [value])
         for name, times in bad.items():
             for t in times.tolist():
                 if tick_index(t) == k:

@@ -76,7 +76,7 @@ class CompensatedAttitude:
         """Take an angular rate [rad/s]."""
         self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         step, self._t_gyro = t - self._t_gyro, t
-        if step < math.inf and self._lost_time.take(max(step, 0.0)):
+        if step < math.inf and self._lost_time.take_time_step(max(step, 0.0)):
             self._carried.restart()  # the turn during the gap was not carried
         stands = self.motion_compensation.is_standing(t)
         zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)

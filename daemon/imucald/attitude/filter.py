@@ -177,7 +177,7 @@ class AttitudeFilter:
         """Take an angular rate [rad/s]."""
         step = t - self._propagator.t
         if step < math.inf:
-            lost = self._lost_time.take(max(step, 0.0))
+            lost = self._lost_time.take_time_step(max(step, 0.0))
             unseen = step if step > self.settings.filter.longest_step else lost
             if unseen:
                 self._turned_unseen(unseen)

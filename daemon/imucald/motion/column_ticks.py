@@ -97,7 +97,7 @@ def _one_by_one(samples: Samples, first: int, n: int) -> NDArray[np.float64]:
         for t, sample in zip(series.t.tolist(), values.tolist(), strict=True):
             k = tick_index(t)
             if first <= k < first + n:
-                ticks.setdefault(k, TickAccumulator()).add(channel, t, sample)
+                ticks.setdefault(k, TickAccumulator()).add_sample(channel, t, sample)
     out = _rows(first, n)
     for k, tick in ticks.items():
         out[k - first] = tick.close(k)

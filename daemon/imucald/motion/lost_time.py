@@ -41,7 +41,7 @@ class LostTime:
         self.skipped = 0.0
         """Excess of the last step over one sensor cycle per sample [s]; 0.0 for a usual step."""
 
-    def take(self, step: float) -> float:
+    def take_time_step(self, step: float) -> float:
         """Take the step of time to a sample [s], not negative; return the time lost before it.
 
         The result is 0.0 nearly always. The loss is known as soon as time moves on; until then see

@@ -87,7 +87,7 @@ class AxisHops(Struct, frozen=True, dict=True):
         return _listed(self.entries[:, self.axis])
 
     @cached_property
-    def step(self) -> list[float]:
+    def smallest_change(self) -> list[float]:
         """Smallest change so far, for each hop."""
         return _listed(self.steps)
 
@@ -202,7 +202,7 @@ class LostContact:
         """Restart after a jump of time."""
         self._open, self._entry = 0, 0.0
 
-    def step(
+    def take_hop(
         self, at: AxisHops, h: int, axis: int, counts: tuple[int, int, int, int], usual: Runs
     ) -> tuple[bool, bool]:
         """Take hop h of an axis.

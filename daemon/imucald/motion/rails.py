@@ -126,7 +126,7 @@ class AxisTops:
         """Number of hops of driving."""
         return self._hops.item(0)
 
-    def take(
+    def take_hops(
         self, at: AxisHops, hops: Index, begin: int, moving: Flags
     ) -> tuple[int, list[Top | None]]:
         """Take hops from place `begin` on, up to the first whose tops must be weighed.
@@ -291,7 +291,7 @@ class Rail:
         """Update the rail with hop h: it is dropped if a value lies beyond it."""
         value = at.tops[self._side][h]
         if self.found:
-            half = 0.5 * at.step[h]
+            half = 0.5 * at.smallest_change[h]
             if value > self._rail + half:
                 self.found = False
             elif value >= self._rail - half:
@@ -413,7 +413,7 @@ class Rail:
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(top, at.step[h], hop)
+                pile.met += self._coincidence(top, at.smallest_change[h], hop)
 
     def _coincidence(self, top: Top, step: float, hop: int) -> float:
         """Return -log of the chance that one more peak of the tail meets the same step [nats]."""
@@ -445,7 +445,7 @@ class AxisRails:
         """Values of the last rails, the upper and the lower; infinite before any."""
         return self._high.last, -self._low.last
 
-    def step(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
+    def take_hop(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
         """Take hop h, which has samples; return whether the axis is on a rail.
 
         stuck: whether the axis was stuck when the hop began; such a hop says nothing about rails.
@@ -462,12 +462,12 @@ class AxisRails:
                 rail.stand(at, h)
         else:
             hops, always = np.array([h]), np.ones(len(at.levels), dtype=bool)
-            _, tops = self._tops.take(at, hops, 0, always)
+            _, tops = self._tops.take_hops(at, hops, 0, always)
             self._pile_up(at, h, tops)
         return self._weigh(at, h, high.changed, low.changed)
 
-    def step_through(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
-        """Do the same as `step` for hops that have samples and in none of which the axis is stuck.
+    def take_hops(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
+        """Do the same as `take_hop` for hops with samples in none of which the axis is stuck.
 
         moving: (H,) flags of all hops of the rows. Most hops lie below values that were reached
         before.
@@ -480,9 +480,9 @@ class AxisRails:
         while (done := len(found)) < len(hops):
             if not is_clear:
                 h = hops[done]
-                found.append(self.step(at, h, moves[h], stuck=False))
+                found.append(self.take_hop(at, h, moves[h], stuck=False))
             else:
-                stopped, tops = self._tops.take(at, places, done, moving)
+                stopped, tops = self._tops.take_hops(at, places, done, moving)
                 found += [False] * (stopped - done)
                 if tops == [None, None]:
                     continue
@@ -504,7 +504,7 @@ class AxisRails:
         is_high, is_low: the sides that must be weighed again.
         """
         high, low = self._high, self._low
-        if (is_high or is_low) and self._has_tail(at.step[h]):
+        if (is_high or is_low) and self._has_tail(at.smallest_change[h]):
             if is_high:
                 high.weigh(at, h)
             if is_low:
@@ -532,10 +532,10 @@ class AxisRails:
         own = rows.samples[self._axis, first : rows.edges[h + 1]]
         value = float(rows.previous(first)[self._axis])
         other = np.flatnonzero(own != value)
-        if not len(other) or not self._has_tail(at.step[h]):
+        if not len(other) or not self._has_tail(at.smallest_change[h]):
             return
         change = float(own[other[0]]) - value
-        if abs(change) > USUAL_CHANGE * max(self._tops.usual, at.step[h]):
+        if abs(change) > USUAL_CHANGE * max(self._tops.usual, at.smallest_change[h]):
             return
         if self._high.is_held(value, -change):
             self._high.on_rail(value)

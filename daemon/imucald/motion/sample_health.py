@@ -97,14 +97,14 @@ class AxisJudges:
             known.append((judge.moving.count, judge.moving.longest))
             if runs[0]:
                 begins.append((h, judge.stuck))
-                lost[h], jumped = contact.step(at, h, axis, runs, judge.usual(is_moving))
-                stuck[h] = judge.step(is_moving, runs, at.step[h], jumped)
+                lost[h], jumped = contact.take_hop(at, h, axis, runs, judge.usual(is_moving))
+                stuck[h] = judge.take_hop(is_moving, runs, at.smallest_change[h], jumped)
         for was_stuck, of in groupby(begins, key=itemgetter(1)):
             hops = [h for h, _ in of]
             if was_stuck:
-                flags = [rails.step(at, h, moves[h], stuck=True) for h in hops]
+                flags = [rails.take_hop(at, h, moves[h], stuck=True) for h in hops]
             else:
-                flags = rails.step_through(at, hops, moving)
+                flags = rails.take_hops(at, hops, moving)
             for h, on_rail in zip(hops, flags, strict=True):
                 saturated[h] = on_rail
         return stuck, lost, saturated
@@ -150,12 +150,12 @@ class _Sensor(FaultsInForce):
         wild = np.zeros(len(moving), dtype=bool)
         some = rows.count > 0
         if self.axes == 3 and self.channel == "accel":
-            wild[some] = self._wild.step(unlike_gravity(rows.mean[some]))
+            wild[some] = self._wild.take_hops(unlike_gravity(rows.mean[some]))
         if self.channel == "gyro":
-            wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
+            wild[some] = self._wild.take_hops(turning_wildly(rows.mean[some]))
         if self._unit is not None:
             of = rows.level[some], rows.ended[some]
-            wild[some] |= self._unit.step(*of, other[some], moving[some])
+            wild[some] |= self._unit.take_hops(*of, other[some], moving[some])
         entries = rows.entries()
         each = [judge.judge(rows, entries, moving) for judge in self.judges]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _, _) in enumerate(each)]
@@ -223,7 +223,7 @@ class SampleHealth:
 
     # live ----------------------------------------------------------------------------------
 
-    def add(self, channel: str, values: Sequence[float]) -> None:
+    def add_sample(self, channel: str, values: Sequence[float]) -> None:
         """Take a sample of the open hop, as the sensor gave it."""
         sensor = self._sensors.get(channel)
         if sensor is not None:

@@ -81,7 +81,7 @@ class Runs:
     def __init__(self) -> None:
         self.count = self.longest = self._samples = 0
 
-    def add(self, count: int, longest: int, samples: int) -> None:
+    def add_runs(self, count: int, longest: int, samples: int) -> None:
         """Take a number of runs that ended, the longest of them, and all samples in them.
 
         A sensor's first sample ends an empty run, which does not count.
@@ -145,7 +145,9 @@ class StuckAxis:
         """Return the runs that have ended so far, in motion or at rest."""
         return self.moving if moving else self._resting
 
-    def step(self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool) -> bool:
+    def take_hop(
+        self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool
+    ) -> bool:
         """Take a hop; return whether the axis is stuck at its end.
 
         runs, q: count, ended, longest, run and step of the axis, as in `HopRows`. jumped: the
@@ -158,7 +160,7 @@ class StuckAxis:
             if not self.stuck and not jumped:  # else the longest is the stuck run
                 is_old = longest > count and self._rested
                 pool = self.moving if moving and not is_old else self._resting
-                pool.add(ended, longest, open_before + count - run)
+                pool.add_runs(ended, longest, open_before + count - run)
             if self._hops:
                 self._moved_run = self._moved_hops = self._hops = 0
             self._rested = not moving
@@ -194,7 +196,7 @@ class Lasting:
     def __init__(self, hops: int) -> None:
         self._hops, self._run = hops, 0
 
-    def step(self, flags: Flags) -> Flags:
+    def take_hops(self, flags: Flags) -> Flags:
         """Take hops (H,); return where the condition has lasted long enough."""
         if not flags.any():
             self._run = 0
@@ -241,7 +243,7 @@ class UnitChange:
         """Restart after a jump of time: nothing is compared across it."""
         self._before = tuple(np.zeros((UNIT_HOPS - 1, n)) for n in (self._axes, self._axes, 2, 1))
 
-    def step(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
+    def take_hops(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
         """Take the mean changes from sample to sample of hops (H, axes), and the number of changes.
 
         other: (H, 2) both figures of the other sensor, 0 if there is none. moving: (H,) whether
@@ -265,7 +267,7 @@ class UnitChange:
         if not sign.any() and not self._changed:
             self._wait = max(0, self._wait - len(up))
             for size in sizes:
-                self._usual.add(size)
+                self._usual.add_size(size)
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
         # A sensor that cannot show whether a vehicle moves off does not show that it stands.
@@ -289,10 +291,10 @@ class UnitChange:
         unit.
         """
         if not self._changed:
-            self._usual.add(size)
+            self._usual.add_size(size)
             self._now = _MeanLog()
             return
-        self._now.add(size)
+        self._now.add_size(size)
         if min(self._now.count, self._usual.count) < USUAL_HOPS:
             return
         if abs(self._now.mean - self._usual.mean) < self._half_way:
@@ -306,7 +308,7 @@ class _MeanLog:
     def __init__(self) -> None:
         self.count, self.mean = 0, 0.0
 
-    def add(self, size: float) -> None:
+    def add_size(self, size: float) -> None:
         """Take a size; 0 is ignored."""
         if size > 0.0:
             self.count += 1

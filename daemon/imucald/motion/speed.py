@@ -82,7 +82,7 @@ class SpeedIntervalMaker:
         self._pending.append((t - self._delay, speed))
         self._speed_seen = t
 
-    def step(
+    def take_tick(
         self, t: float, fx: float, fy: float, fz: float, yaw_rate: float, clean: bool
     ) -> SpeedInterval | None:
         """Take the tick that ends at t [s]; return an interval that is now complete, if any."""

@@ -65,7 +65,7 @@ class ZeroOffset:
         self.value = 0.0
         self._n = 0
 
-    def add(self, x: float) -> None:
+    def add_value_at_rest(self, x: float) -> None:
         """Take the signal's value at rest."""
         self._n = min(self._n + 1, OFFSET_MEMORY)
         self.value += (x - self.value) / self._n
@@ -106,7 +106,7 @@ class YawRateSource:
         """Steering-wheel angle [rad], or NaN if it is not known now."""
         return self._steering if self._steering_age <= MAX_HOLD_TICKS else NAN
 
-    def step(
+    def take_tick(
         self,
         tick: TickRow,
         up: tuple[float, float, float] | None,
@@ -136,7 +136,7 @@ class YawRateSource:
         if tick[YAW_RATE.n] > 0.0:
             self._rate, self._rate_age = tick[YAW_RATE.mean], 0
             if at_rest and abs(self._rate) < MAX_ZERO_OFFSET:
-                self._offset.add(self._rate)
+                self._offset.add_value_at_rest(self._rate)
         else:
             self._rate_age += 1
         if tick[GYRO.n] > 0.0 and tick[GYRO.bad] == 0.0:
@@ -144,7 +144,7 @@ class YawRateSource:
             self._gyro_age = 0
             if at_rest and max(map(abs, self._gyro)) < MAX_ZERO_OFFSET:
                 for offset, value in zip(self._gyro_offset, self._gyro, strict=True):
-                    offset.add(value)
+                    offset.add_value_at_rest(value)
         else:
             self._gyro_age += 1
         if tick[STEERING.n] > 0.0:

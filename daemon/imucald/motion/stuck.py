@@ -92,7 +92,7 @@ class UsualRuns:
         self._runs = np.zeros((RUNS_REMEMBERED, 2))
         self._ended = 0
 
-    def add(self, lasted: Array, change: Array) -> None:
+    def add_ended_runs(self, lasted: Array, change: Array) -> None:
         """Remember runs that ended: (M,) durations, (M,) changes after them."""
         if not len(lasted):
             return
@@ -248,7 +248,7 @@ class HeldForce:
         self._force: Vector | None = None
         self._ticks = 0
 
-    def step(self, tick: TickRow, force: Vector) -> bool:
+    def take_tick(self, tick: TickRow, force: Vector) -> bool:
         """Take a tick and its mean force; return whether it is stuck, if the vehicle moves."""
         same = force == self._force and tick[ACCEL.min_x] == tick[ACCEL.max_x]
         self._ticks = self._ticks + 1 if same else 0
@@ -409,7 +409,7 @@ class StuckSignal:
         over[-1] = False
         after = last[over]
         until_next = count[0, at[after + 1]] - count[0, at[after] + 1]
-        self._ended.add(lasted[0, over] + until_next, change[after])
+        self._ended.add_ended_runs(lasted[0, over] + until_next, change[after])
         crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
         if not len(crossing):
             self.restart()
@@ -433,7 +433,7 @@ class StuckSignal:
         """
         if abs(first - self._open.value) <= self._same:
             return False
-        self._ended.add(driven, change)
+        self._ended.add_ended_runs(driven, change)
         self.restart()
         return True
 

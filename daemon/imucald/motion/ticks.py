@@ -201,7 +201,7 @@ class TickAccumulator:
         g[2] += z
         g[3] += t
 
-    def add(self, channel: str, t: float, values: Sequence[float]) -> None:
+    def add_sample(self, channel: str, t: float, values: Sequence[float]) -> None:
         """Add a sample of any channel (see `samples`); channels that a tick does not hold are
         ignored.
         """

@@ -167,7 +167,7 @@ class Engine:
         pipeline = self.pipeline
         health = pipeline.health
         for channel, values in samples:
-            health.add(channel, values)
+            health.add_sample(channel, values)
         if self.preprocessing is not None:
             samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused

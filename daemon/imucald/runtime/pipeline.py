@@ -176,7 +176,7 @@ class Pipeline:
 
     def add_sample(self, t: float, channel: str, values: Sequence[float]) -> None:
         """Add one sample of the open tick (see `advance`)."""
-        self._ticks.add(channel, t, values)
+        self._ticks.add_sample(channel, t, values)
 
     def reject(self, channel: str) -> None:
         """Count a sample of the open tick that was rejected for its value."""
@@ -301,7 +301,7 @@ class Pipeline:
             part = _of_tick(series, k)
             values = part.values.tolist()
             for t, value in zip(part.t.tolist(), values, strict=True):
-                self._ticks.add(channel, t, value if isinstance(value, list) else (value,))
+                self._ticks.add_sample(channel, t, value if isinstance(value, list) else (value,))
         for channel, times in rejected.items():
             for _ in range(int(np.count_nonzero(np.floor(times * TICK_RATE) == k))):
                 self._ticks.reject(channel)

@@ -68,7 +68,7 @@ class TerminalAttitude:
         P restarts after a time in which the terminal's turn was not measured.
         """
         dt = t - self._t_gyro
-        is_lost = 0.0 <= dt < math.inf and self._lost_time.take(dt) > 0.0
+        is_lost = 0.0 <= dt < math.inf and self._lost_time.take_time_step(dt) > 0.0
         self._rest(t, raw)
         b = self.zero_error
         rate = (raw[0] - b[0], raw[1] - b[1], raw[2] - b[2])

@@ -120,9 +120,9 @@ class PublishedEstimator:
                 self._solve()
             if tilt.departed:
                 self._sign.depart(tick[T])
-            yaw_rate = self._yaw_source.step(tick, tilt.up, self._speed, tilt.still)
+            yaw_rate = self._yaw_source.take_tick(tick, tilt.up, self._speed, tilt.still)
             x, y, z = force
-            interval = self._intervals.step(tick[T], x, y, z, yaw_rate, clean)
+            interval = self._intervals.take_tick(tick[T], x, y, z, yaw_rate, clean)
             if interval is not None:
                 self._take_interval(interval)
         self._applied.step()
@@ -191,7 +191,7 @@ class PublishedEstimator:
         low, high = ROAD_FORCE_WIDE
         if not low <= size <= high or is_saturated(tick, self._settings.calibration.full_scale):
             return False
-        stuck = self._held.step(tick, force)
+        stuck = self._held.take_tick(tick, force)
         self._force = force
         self._gate.push(force)
         stands = self._settings.calibration.static.standstill_speed
