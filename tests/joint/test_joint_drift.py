@@ -30,7 +30,7 @@ GOOD = {MountState.USABLE, MountState.FINE}
 def held(made: list[Block]) -> Evidence:
     evidence = Evidence(LEVEL_ROADS)
     for block in made:
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
         _ = evidence.drift  # asked block by block, as the estimator does
     return evidence
@@ -66,7 +66,7 @@ def test_a_drift_shows_before_it_misleads_where_bends_are_gentle(axis: int) -> N
     for k, block in enumerate(blocks(8.0, Sensor(), bends=0.4)):
         off = rate * np.maximum(6.4 * k + 0.1 * np.arange(64) - FROM_S, 0.0)
         force = block.force + off[:, None] * ROTATION.T[:, axis]
-        evidence.add(block._replace(force=force))
+        evidence.add_block(block._replace(force=force))
         evidence.solve_when_due()
         if off[-1] > WRONG:
             break
@@ -120,7 +120,7 @@ def test_a_drift_goes_on_where_evidence_begins_again() -> None:
     )
     for block in since:
         for evidence in (forgetful, going_on):
-            evidence.add(block)
+            evidence.add_block(block)
             evidence.solve_when_due()
     true = rate[0] * (6.4 * len(made) - FROM_S)
     assert not forgetful.drift.is_named
@@ -133,7 +133,7 @@ def test_a_sound_past_makes_no_drift_of_evidence_that_begins_again() -> None:
     before = held(made[:60])
     evidence = Evidence(LEVEL_ROADS, past=before.in_sensor_axes(before.drift))
     for block in made[60:]:
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
     assert evidence.drift.log_odds < -5.0
 
@@ -150,13 +150,13 @@ def test_a_guess_is_put_back_before_the_rates_zero_is_taken_off() -> None:
     zero, guess = np.array([0.01, -0.02, 0.03]), np.array([0.02, -0.05, 0.1])
     sound, guessed = Evidence(LEVEL_ROADS), Evidence(LEVEL_ROADS)
     for k, b in enumerate(blocks(4.0, Sensor())):
-        sound.add(b)
+        sound.add_block(b)
         raw = b.rate + zero
         known = k >= 10
         taken = zero if known else guess
         if k == 10:
             guessed.subtract_rate_zero(zero)
-        guessed.add(Block(b.force, raw - taken, b.speed, b.use, known, taken))
+        guessed.add_block(Block(b.force, raw - taken, b.speed, b.use, known, taken))
     one, other = sound.solve(), guessed.solve()
     assert one is not None
     assert other is not None
@@ -225,7 +225,7 @@ def test_a_zero_of_the_rate_that_was_guessed_badly_is_no_drift() -> None:
     """In the bends of a car park the guess from driving is off by some degrees a second."""
     evidence, off, odds = Evidence(LEVEL_ROADS), ROTATION.T @ np.array([0.0, 0.0, 0.1]), []
     for b in blocks(6.0, Sensor()):
-        evidence.add(b._replace(rate=b.rate + off))
+        evidence.add_block(b._replace(rate=b.rate + off))
         evidence.solve_when_due()
         odds.append(evidence.drift.log_odds)
     assert max(odds) < -3.0

@@ -271,7 +271,7 @@ def test_what_a_data_sheet_states_is_the_prior(calibration, entry, is_wider) -> 
     usual, stated = (Evidence(JointEstimator(joint_settings(c)).priors) for c in ({}, calibration))
     for block in blocks(1.2, Sensor(), bends=0.3):
         for evidence in (usual, stated):
-            evidence.add(block)
+            evidence.add_block(block)
             evidence.solve_when_due()
     assert usual.solution is not None
     assert stated.solution is not None

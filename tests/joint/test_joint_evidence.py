@@ -33,7 +33,7 @@ SENSORS = {
 def solved(minutes: float, sensor: Sensor, **drive: float) -> Solution:
     evidence = Evidence(LEVEL_ROADS)
     for block in blocks(minutes, sensor, **drive):  # type: ignore[arg-type]
-        evidence.add(block)
+        evidence.add_block(block)
     found = evidence.solve()
     assert found is not None
     return found
@@ -68,7 +68,7 @@ def test_signals_that_no_sensor_fits_have_no_solution(sensor: Sensor) -> None:
 
     def take(drive: list[Block]) -> None:
         for block in drive:
-            evidence.add(block)
+            evidence.add_block(block)
             evidence.solve_when_due()
 
     with pytest.raises(np.linalg.LinAlgError, match="no sensor"):
@@ -102,7 +102,7 @@ def test_a_delay_that_moves_in_long_evidence_is_followed_piece_by_piece(monkeypa
     evidence = Evidence(LEVEL_ROADS)
     usual, later = (blocks(40.0, Sensor(), late_s=late_s) for late_s in (0.2, 0.5))
     for block in usual[:250] + later[250:]:
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
         made.append(0)
     assert max(made) <= 2 * module.MADE_AT_ONCE  # with what came since the last solution
@@ -187,7 +187,7 @@ def test_no_gain_is_touched_however_far_the_first_axes_were_off() -> None:
         [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
     )
     for block in blocks(6.0, Sensor()):
-        evidence.add(block)
+        evidence.add_block(block)
     evidence.start_from(wrong @ ROTATION)
     found = evidence.solve()
     assert found is not None
@@ -207,7 +207,7 @@ def test_a_long_drive_is_solved_on_and_forgets_its_beginning(
     evidence, answer = Evidence(LEVEL_ROADS), ROTATION.T @ turned @ ROTATION
     for k, b in enumerate(blocks(16.0, Sensor())):
         moved = b._replace(force=b.force @ answer.T, rate=b.rate @ answer.T)
-        evidence.add(b if k < 75 else moved)
+        evidence.add_block(b if k < 75 else moved)
         evidence.solve_when_due()
     assert evidence.seconds <= 60 * 6.4
     assert evidence.solution is not None
@@ -223,7 +223,7 @@ def test_windows_put_together_answer_as_windows_kept_one_by_one(
         monkeypatch.setattr(sums, "RECENT", recent)
         evidence = Evidence(LEVEL_ROADS)
         for block in blocks(12.0, sensor, lost=0.1):
-            evidence.add(block)
+            evidence.add_block(block)
             evidence.solve_when_due()
         assert evidence.solution is not None
         found.append(evidence.solution)
@@ -237,7 +237,7 @@ def test_windows_put_together_answer_as_windows_kept_one_by_one(
 def test_an_hour_keeps_a_few_megabytes_and_no_more_after_that() -> None:
     evidence, sizes = Evidence(LEVEL_ROADS), []
     for k, block in enumerate(blocks(100.0, Sensor())):
-        evidence.add(block)
+        evidence.add_block(block)
         if k % 8 == 0:
             evidence.solve_when_due()
             sizes.append(len(pickle.dumps(evidence)))
@@ -264,7 +264,7 @@ def test_the_axis_of_turning_is_known_from_bends_better_than_roads_are_level() -
     sensor = Sensor(gyro=ROTATION.T @ tilted @ ROTATION, zero=np.array([0.2, -0.15, 0.1]))
     evidence = Evidence(Priors(crown=(0.0, 0.006)))
     for block in blocks(12.0, sensor):
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
     found = evidence.solution
     assert found is not None

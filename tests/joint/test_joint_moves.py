@@ -28,7 +28,7 @@ def moves(drive: list[Block]) -> list[Move | None]:
     """What is found after each block."""
     evidence, found = Evidence(LEVEL_ROADS), []
     for block in drive:
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
         move = evidence.move()
         found.append(move if move is not None and move.is_certain else None)

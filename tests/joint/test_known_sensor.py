@@ -23,7 +23,7 @@ REMOUNT = rotation_from_angles(0.3, -0.2, 1.1)
 
 def driven(minutes: float, sensor: Sensor, evidence: Evidence, seed: int = 0, **drive: float):
     for block in blocks(minutes, sensor, seed=seed, **drive):  # type: ignore[arg-type]
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
     evidence.solve()
     return evidence
@@ -38,7 +38,7 @@ def known() -> KnownSensor:
 def remounted(evidence: Evidence, minutes: float, sensor: Sensor, **drive: float) -> Evidence:
     """A drive with the housing turned by REMOUNT; the sensor's terms are in its own axes."""
     for b in blocks(minutes, sensor, seed=7, **drive):  # type: ignore[arg-type]
-        evidence.add(b._replace(force=b.force @ REMOUNT, rate=b.rate @ REMOUNT))
+        evidence.add_block(b._replace(force=b.force @ REMOUNT, rate=b.rate @ REMOUNT))
         evidence.solve_when_due()
     return evidence
 

@@ -80,7 +80,7 @@ def _shown(form: str, size: float) -> list[Block]:
 def _solved(drive: list[Block]) -> Solution:
     evidence = Evidence(LEVEL_ROADS)
     for one in drive:
-        evidence.add(one)
+        evidence.add_block(one)
     found = evidence.solve()
     assert found is not None
     return found

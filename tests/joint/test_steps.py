@@ -22,10 +22,10 @@ def steps(made: list[Block]) -> list[SuddenChange | None]:
     """What is found after each block from `AT` on."""
     evidence, found = Evidence(LEVEL_ROADS), []
     for k, block in enumerate(made):
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
         if k >= AT:
-            found.append(evidence.step())
+            found.append(evidence.sudden_change())
     return found
 
 
@@ -136,7 +136,7 @@ def test_time_that_jumps_hides_no_turn() -> None:
     for k, block in enumerate(made):
         if k == AT:
             evidence.gap()
-        evidence.add(block)
+        evidence.add_block(block)
         evidence.solve_when_due()
-        found.append(evidence.step())
+        found.append(evidence.sudden_change())
     assert any(one.is_turn for one in certain(found[AT:]))

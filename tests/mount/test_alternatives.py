@@ -77,7 +77,7 @@ def looked_at(
         p = block(k, speed, rough, bend)
         rate = p.rate if sensor is None else p.rate @ sensor.T
         kept.append(replace(p, rate=rate, yaw_rate=yaw_sign * p.yaw_rate))
-        found.add(kept, R, np.zeros(3), (1.0, 1.0), set(signals), 0.0)
+        found.take_block(kept, R, np.zeros(3), (1.0, 1.0), set(signals), 0.0)
     return found
 
 
@@ -110,7 +110,7 @@ def test_a_sign_of_the_gyroscope_that_turns_in_mid_drive_is_seen_within_a_minute
     for k in range(80):
         p = block(k)
         kept.append(replace(p, rate=p.rate * np.array(signs)) if k >= 70 else p)
-        found.add(kept[-55:], R, np.zeros(3), (1.0, 1.0), ALL, 0.0)
+        found.take_block(kept[-55:], R, np.zeros(3), (1.0, 1.0), ALL, 0.0)
         assert k >= 70 or not found.gyro_accused
     assert found.gyro_accused
 
@@ -122,7 +122,7 @@ def test_without_a_signal_that_shows_turns_the_missing_signal_is_named(has_yaw_r
     for k in range(40):
         ok_yaw = YES if has_yaw_rate else ~YES
         kept.append(replace(block(k), ok_rate=~YES, ok_steering=~YES, ok_yaw=ok_yaw))
-        found.add(kept, None if k < 5 else R, np.zeros(3), (1.0, 1.0), signals, 0.0)
+        found.take_block(kept, None if k < 5 else R, np.zeros(3), (1.0, 1.0), signals, 0.0)
     text = found.missing(TO_BE_GOOD)
     if has_yaw_rate:
         assert text is None
@@ -181,7 +181,7 @@ def beside(
         force = -p.force if mirrored else p.force
         kept.append(replace(p, force=force, sided={c: signals[c] for c in channels}))
         seen = set(ALONE | set(channels))
-        found.add(kept, turned, np.zeros(3), (1.0, 1.0), seen, 0.0)
+        found.take_block(kept, turned, np.zeros(3), (1.0, 1.0), seen, 0.0)
     return found
 
 
@@ -239,7 +239,7 @@ def test_a_stated_forward_axis_knows_forward_from_backward_at_walking_pace():
     assert R[0] @ [0.0, -1.0, 0.0] > 0.5
     found = Alternatives(EstimatorSettings(calibration))
     for k in range(40):
-        found.add([block(k, speed=5.0)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
+        found.take_block([block(k, speed=5.0)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
     assert found.missing(TO_BE_GOOD) is None
     back = np.diag([-1.0, -1.0, 1.0]) @ R
     assert found.contradicted_orientation(back, yaw_known=True) == "forward"
@@ -255,14 +255,14 @@ def test_a_reverse_signal_shows_what_is_ahead_where_most_of_the_way_is_without_i
     found = Alternatives(joint_settings())
     for k in range(ahead + back):
         one = block(k, speed=5.0 if k >= back else -5.0)
-        found.add([one], R, np.zeros(3), (1.0, 1.0), {*ALONE, "reverse"}, 0.0)
+        found.take_block([one], R, np.zeros(3), (1.0, 1.0), {*ALONE, "reverse"}, 0.0)
     assert found._knows_forward == is_known
 
 
 @pytest.mark.parametrize(("speed", "is_known"), [(12.0, True), (-12.0, False)])
 def test_only_a_fast_speed_ahead_shows_what_is_ahead(speed, is_known):
     found = Alternatives(joint_settings())
-    found.add([block(0, speed=speed)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
+    found.take_block([block(0, speed=speed)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
     assert found._knows_forward == is_known
 
 
@@ -270,16 +270,16 @@ def test_a_mount_that_a_person_states_counts_where_it_is_the_one_found():
     for stated, is_excluded in ((R, True), (np.diag([-1.0, 1.0, -1.0]) @ R, False)):
         found = Alternatives(joint_settings())
         found.take_mount(stated)
-        found.add([block(0)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
+        found.take_block([block(0)], R, np.zeros(3), (1.0, 1.0), set(ALONE), 0.0)
         assert found.is_mirror_excluded == is_excluded
 
 
 def test_a_block_counts_for_no_more_than_a_few_and_a_sum_can_turn():
     pair, turning = Mirrored(0.01), 0.2 * np.sin(np.linspace(0.0, 6.0, BLOCK_TICKS))
     for _ in range(200):
-        pair.add(turning, turning, YES)
+        pair.add_signals(turning, turning, YES)
     assert pair.is_seen(TO_BE_FINE)
     for _ in range(40):
-        pair.add(turning, -turning, YES)
+        pair.add_signals(turning, -turning, YES)
     assert pair.sum < -TO_ACCUSE
     assert math.isfinite(pair.sum)

@@ -69,7 +69,7 @@ def test_a_turn_is_measured_by_the_mounts_before_and_after_it():
     watched = changes()
     for mount in (None, good(before)):
         watched.end_of_mounting(mount)
-        watched.take(shift(0, 3.0), 50, 0.5 * DEG, mount)
+        watched.note_change(shift(0, 3.0), 50, 0.5 * DEG, mount)
     assert watched.turns(None) == [None, None]
     first, second = watched.turns(good(after, 0.7))
     assert first is None
@@ -81,7 +81,7 @@ def test_a_turn_is_measured_by_the_mounts_before_and_after_it():
 def test_what_comes_later_does_not_change_the_turn_that_was_measured():
     before, after, later = (rotation_from_angles(0.3, p, 2.0) for p in (-0.2, -0.1, 0.3))
     watched = changes()
-    watched.take(shift(PITCH, 3.0), 50, 0.5 * DEG, good(before))
+    watched.note_change(shift(PITCH, 3.0), 50, 0.5 * DEG, good(before))
     watched.end_of_mounting(good(after))
     watched.bear(shift(YAW, 0.8), 70, 0.5 * DEG, None)
     turn, borne = watched.turns(good(later))
@@ -101,7 +101,7 @@ def test_a_sensor_was_moved_where_the_mount_is_found_further_off_than_its_interv
         if is_borne:
             watched.bear(shift(PITCH, 1.5), 70, 0.5 * DEG, good(np.eye(3)))
         else:
-            watched.take(shift(PITCH, 3.0), 90, 0.5 * DEG, good(np.eye(3)))
+            watched.note_change(shift(PITCH, 3.0), 90, 0.5 * DEG, good(np.eye(3)))
         (one,) = watched.history
         told = change_details(one, watched.turns(None)[0])
         assert is_move(told) is not is_borne, "until the mount after it is known"

@@ -47,7 +47,7 @@ def steps_between(before: Correction, after: Correction) -> list[Correction]:
     slewed.aim(after)
     found = [before]
     while slewed.is_moving:
-        slewed.step()
+        slewed.move_on()
         assert slewed.correction is not None
         found.append(slewed.correction)
         assert len(found) < 2000

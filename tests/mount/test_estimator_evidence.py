@@ -19,11 +19,11 @@ def test_places_are_counted_not_samples():
     gravity = GravityEvidence()
     rest = np.ones(BLOCK_TICKS, dtype=bool)
     for _ in range(100):
-        gravity.add(block(rest=rest, speed=np.zeros(BLOCK_TICKS)), np.zeros(BLOCK_TICKS))
+        gravity.add_block(block(rest=rest, speed=np.zeros(BLOCK_TICKS)), np.zeros(BLOCK_TICKS))
     assert gravity.stops == 1
     assert gravity.variance(0.02, 200.0) == pytest.approx(0.02**2)
     for _ in range(32000 // BLOCK_TICKS):
-        gravity.add(block(), np.zeros(BLOCK_TICKS))
+        gravity.add_block(block(), np.zeros(BLOCK_TICKS))
     assert gravity.metres == pytest.approx(32000.0)
     assert gravity.variance(0.02, 200.0) == pytest.approx(0.02**2 * 400 / 32000, rel=0.05)
 
@@ -37,7 +37,7 @@ def test_steering_offset_in_curves_of_both_sides():
         angle = (
             15.0 * (2.7 + 0.003 * v * v) * r / v + 0.03 + 0.01 * rng.standard_normal(BLOCK_TICKS)
         )
-        steering.add(angle, v, r, np.ones(BLOCK_TICKS, dtype=bool))
+        steering.add_block(angle, v, r, np.ones(BLOCK_TICKS, dtype=bool))
     fitted = steering.fitted(0.0, 0.0)
     assert fitted is not None
     assert fitted[0] == pytest.approx(0.03, abs=0.003)

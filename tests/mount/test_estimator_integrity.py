@@ -243,7 +243,9 @@ def test_a_creeping_mount_is_named_and_its_interval_holds():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("owner", "method"), [(Evidence, "step"), (CarriedForce, "add")], ids=["evidence", "force"]
+    ("owner", "method"),
+    [(Evidence, "sudden_change"), (CarriedForce, "take_block")],
+    ids=["evidence", "force"],
 )
 def test_a_factorisation_that_fails_is_counted_and_suspect_and_ends_nothing(
     monkeypatch, owner, method

@@ -18,11 +18,11 @@ def after(blocks: int) -> GyroAlternatives:
     """
     found = GyroAlternatives()
     for _ in range(20):
-        found.add(FOR)
+        found.add_ratios(FOR)
         found.add_late(FOR)
     assert float(found._sums.min()) == HELD
     for _ in range(blocks):
-        found.add(AGAINST)
+        found.add_ratios(AGAINST)
         found.add_late(AGAINST)
     return found
 

@@ -75,7 +75,7 @@ def test_force_and_speed_are_held_against_one_another_at_the_delay(ticks):
     watch = Contradictions(joint_settings())
     for _ in range(4):
         p, yaw_rate = swinging(ticks)
-        watch.add(p, yaw_rate, True, np.eye(3), 0.0, False, 0.1 * ticks)
+        watch.take_block(p, yaw_rate, True, np.eye(3), 0.0, False, 0.1 * ticks)
     assert watch.faults == ()
     assert watch.speed.agreed
     assert watch.turns.agreed
@@ -85,7 +85,7 @@ def test_a_late_speed_that_is_taken_as_it_comes_would_be_accused():
     watch = Contradictions(joint_settings())
     for _ in range(4):
         p, yaw_rate = swinging(20)
-        watch.add(p, yaw_rate, True, np.eye(3), 0.0, False, 0.0)
+        watch.take_block(p, yaw_rate, True, np.eye(3), 0.0, False, 0.0)
     assert watch.speed.accused
 
 
@@ -93,5 +93,5 @@ def test_while_the_delay_is_not_known_the_force_is_not_asked():
     watch = Contradictions(joint_settings())
     for _ in range(4):
         p, yaw_rate = swinging(20)
-        watch.add(p, yaw_rate, True, np.eye(3), 0.0, False, None)
+        watch.take_block(p, yaw_rate, True, np.eye(3), 0.0, False, None)
     assert watch.speed.pieces == watch.turns.pieces == 0

@@ -41,7 +41,7 @@ def tilt_error_deg(up: tuple[float, float, float]) -> float:
 def test_windows_of_one_stop_are_one_place() -> None:
     book = StopBook(1.3 * DEG, 0.1)
     for k in range(30):
-        book.add(slope(2.0, 0.0), 100.0, new_place=k == 0)
+        book.add_static_window(slope(2.0, 0.0), 100.0, new_place=k == 0)
     tilt = book.tilt()
     assert tilt is not None
     assert (book.seen, tilt.places) == (1, 1)
@@ -54,7 +54,7 @@ def test_several_places_average_the_slope_and_say_so() -> None:
     book = StopBook(1.3 * DEG, 0.0)
     before = math.inf
     for k in range(16):
-        book.add(slope(*rng.normal(0.0, 1.3, 2)), 100.0, new_place=True)
+        book.add_static_window(slope(*rng.normal(0.0, 1.3, 2)), 100.0, new_place=True)
         tilt = book.tilt()
         assert tilt is not None
         if k in {0, 3, 15}:
@@ -67,7 +67,7 @@ def test_several_places_average_the_slope_and_say_so() -> None:
 def test_no_number_of_stops_averages_the_bias() -> None:
     book = StopBook(1.0 * DEG, 0.1)
     for _ in range(40):
-        book.add((0.0, 0.0, G), 100.0, new_place=True)
+        book.add_static_window((0.0, 0.0, G), 100.0, new_place=True)
     tilt = book.tilt()
     assert tilt is not None
     assert tilt.std > 0.1 / G
@@ -76,8 +76,8 @@ def test_no_number_of_stops_averages_the_bias() -> None:
 def test_one_ramp_among_many_places_counts_little() -> None:
     book = StopBook(1.0 * DEG, 0.0)
     for _ in range(8):
-        book.add(slope(0.0, 0.0), 100.0, new_place=True)
-    book.add(slope(12.0, 0.0), 100.0, new_place=True)
+        book.add_static_window(slope(0.0, 0.0), 100.0, new_place=True)
+    book.add_static_window(slope(12.0, 0.0), 100.0, new_place=True)
     tilt = book.tilt()
     assert tilt is not None
     assert tilt_error_deg(tilt.up) < 0.8 * 12.0 / 9.0
@@ -85,8 +85,8 @@ def test_one_ramp_among_many_places_counts_little() -> None:
 
 def test_as_published_the_last_stop_decides() -> None:
     book = StopBook(1.3 * DEG, 0.1, average=False)
-    book.add(slope(3.0, 0.0), 100.0, new_place=True)
-    book.add(slope(0.0, -1.0), 100.0, new_place=True)
+    book.add_static_window(slope(3.0, 0.0), 100.0, new_place=True)
+    book.add_static_window(slope(0.0, -1.0), 100.0, new_place=True)
     tilt = book.tilt()
     assert tilt is not None
     assert tilt_error_deg(tilt.up) == pytest.approx(1.0, abs=1e-6)
@@ -100,7 +100,7 @@ def test_the_mean_of_a_long_drive_levels_and_admits_how_badly() -> None:
     for k in range(3000):
         a = 1.0 if k % 300 < 150 else -1.0
         speed += 0.1 * a
-        run.add(a + G * 1.3 * DEG * rng.normal(), 0.5 * rng.normal(), G, 0.1)
+        run.add_mean_force(a + G * 1.3 * DEG * rng.normal(), 0.5 * rng.normal(), G, 0.1)
         if k == 600:
             early = run.tilt()
     late = run.tilt()

@@ -33,7 +33,7 @@ def progress(*stds: float, state: MountState = MountState.USABLE, **more: Any) -
     for i, std in enumerate(stds, start=1):
         tilt = min(std, 1e-4) if math.isfinite(std) else std
         known = MountKnowledge(gravity=True, std=(tilt, tilt, std), cross_talk=(std, std), **more)
-        watch.take(i * BLOCK_S, known, SETTINGS, asked)  # type: ignore[arg-type]
+        watch.note_knowledge(i * BLOCK_S, known, SETTINGS, asked)  # type: ignore[arg-type]
     return watch.after(state, known, can_be_fine=True)
 
 

@@ -36,8 +36,8 @@ def book_of(mount: Rotation, motions: list[list[tuple[float, float]]]) -> Manoeu
         m = Manoeuvre(0.0, signed=True)
         for dvdt, lateral in intervals:
             f = mount.inv().apply([dvdt, lateral, 0.0]).tolist()
-            m.add(interval(0.0), f, dvdt, lateral, 0.7)
-        book.add(m)
+            m.add_interval(interval(0.0), f, dvdt, lateral, 0.7)
+        book.add_manoeuvre(m)
     return book
 
 
@@ -103,14 +103,14 @@ def test_votes_decide_only_by_a_clear_lead() -> None:
     ahead, back = (1.0, 0.2, 0.0), (-1.0, 0.1, 0.0)
     for k in range(VOTES_NEEDED):
         assert votes.sign((1.0, 0.0, 0.0)) == 0.0, k
-        votes.add("brake", ahead)
+        votes.add_vote("brake", ahead)
     assert votes.sign((1.0, 0.0, 0.0)) == 1.0
     assert votes.sign((-1.0, 0.0, 0.0)) == -1.0
     assert votes.sign((0.0, 1.0, 0.0)) == 0.0, "across the axis tells nothing"
-    votes.add("brake", back)
+    votes.add_vote("brake", back)
     assert votes.sign((1.0, 0.0, 0.0)) == 0.0
     for _ in range(20):
-        votes.add("brake", ahead)
+        votes.add_vote("brake", ahead)
     assert votes.sign((1.0, 0.0, 0.0)) == 1.0
 
 
@@ -222,7 +222,7 @@ def turn_of(a: Correction, b: Correction) -> float:
 
 def test_the_applied_rotation_turns_at_a_limited_rate_and_arrives() -> None:
     slewed = SlewedCorrection(rate=0.5 * DEG)
-    slewed.step()
+    slewed.move_on()
     assert slewed.correction is None
     slewed.aim(Correction.turning(rotation_from_angles(0.1, -0.2, 0.3)))
     assert slewed.correction is not None, "the first answer is taken at once"
@@ -231,7 +231,7 @@ def test_the_applied_rotation_turns_at_a_limited_rate_and_arrives() -> None:
     steps = 0
     while turn_of(slewed.correction, goal) > 1e-9:
         before = slewed.correction
-        slewed.step()
+        slewed.move_on()
         assert turn_of(slewed.correction, before) <= 0.05 + 1e-9
         steps += 1
     assert steps == 40
@@ -244,7 +244,7 @@ def test_another_answer_is_taken_at_once() -> None:
     goal = Correction.turning(rotation_from_angles(0.0, 0.0, math.pi))
     slewed.aim(Correction.turning(np.eye(3)))
     slewed.aim(goal)
-    slewed.step()
+    slewed.move_on()
     assert turn_of(slewed.correction, goal) < 1e-6
 
 

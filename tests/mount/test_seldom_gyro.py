@@ -78,7 +78,7 @@ def bends(noise: float, sign: float) -> tuple[StandingFault, ...]:
         force[:, 1] += 0.1 * rng.standard_normal(BLOCK_TICKS)
         seen = r + noise * rng.standard_normal(BLOCK_TICKS)
         p = block(force=force, speed=np.full(BLOCK_TICKS, 20.0))
-        watch.add(p, seen, True, np.eye(3), 0.0, False, 0.0)
+        watch.take_block(p, seen, True, np.eye(3), 0.0, False, 0.0)
     return watch.faults
 
 
@@ -101,7 +101,7 @@ def straight(noise: float, is_stated: bool) -> tuple[StandingFault, ...]:
         stated = walk if is_stated else np.zeros((3, 3))
         speed = np.full(BLOCK_TICKS, 20.0)
         p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=stated, speed=speed)
-        watch.add(p, rate[:, 2], True, np.eye(3), 0.0, False, 0.0)
+        watch.take_block(p, rate[:, 2], True, np.eye(3), 0.0, False, 0.0)
     return watch.faults
 
 
@@ -127,7 +127,7 @@ def turns_alone(noise: float, is_stated: bool) -> int:
         rate, walk = shaken(rng, noise)
         by = FORCE.beside(float(walk[2, 2])) if is_stated else FORCE
         ok = np.ones(BLOCK_TICKS, dtype=bool)
-        found += alone.add(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by) != 0.0
+        found += alone.take_rates(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by) != 0.0
     return found
 
 
@@ -142,5 +142,5 @@ def test_a_hand_that_turns_a_sensor_is_seen_beside_a_little_shaking() -> None:
     t = 0.1 * np.arange(BLOCK_TICKS)
     rate[:, 2] += np.where((t > 2.9) & (t < 3.9), math.radians(30.0), 0.0)
     by, ok = FORCE.beside(float(walk[2, 2])), np.ones(BLOCK_TICKS, dtype=bool)
-    turned = alone.add(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by)
+    turned = alone.take_rates(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by)
     assert math.degrees(turned) == pytest.approx(30.0, abs=5.0)

@@ -107,14 +107,14 @@ def test_manoeuvres_are_counted_once_each():
     push[60:80] = -2.0  # a braking
     turn = np.zeros(100)
     turn[40:60] = 1.0
-    driven.add(push, turn)
+    driven.add_accelerations(push, turn)
     assert (driven.straight, driven.lefts, driven.rights) == (2, 1, 0)
 
 
 def test_a_manoeuvre_over_the_edge_of_two_hops_counts_once():
     driven = Manoeuvres()
-    driven.add(np.concatenate([np.zeros(29), np.full(3, 1.5)]), np.zeros(32))
-    driven.add(np.concatenate([np.full(10, 1.5), np.zeros(22)]), np.zeros(32))
+    driven.add_accelerations(np.concatenate([np.zeros(29), np.full(3, 1.5)]), np.zeros(32))
+    driven.add_accelerations(np.concatenate([np.full(10, 1.5), np.zeros(22)]), np.zeros(32))
     assert driven.straight == 1
 
 

@@ -26,7 +26,7 @@ def rest_ticks(
 
 
 def windows(detector: StandstillDetector, rows: list[list[float]], stopped: bool | None) -> list:
-    return [w for row in rows if (w := detector.step(row, stopped)) is not None]
+    return [w for row in rows if (w := detector.take_tick(row, stopped)) is not None]
 
 
 @pytest.mark.parametrize("duration", [0.1, 0.2])
@@ -65,8 +65,8 @@ def test_a_window_followed_at_once_by_motion_does_not_count() -> None:
     detector = StandstillDetector(StaticTestSettings(duration=2.0))
     assert windows(detector, rest_ticks(2.0, 0.1), True) == []
     for row in rest_ticks(0.1 * (CONFIRM_TICKS - 1), 0.1):
-        assert detector.step(row, True) is None
-    assert detector.step(rest_ticks(0.1, 0.1)[0], False) is None
+        assert detector.take_tick(row, True) is None
+    assert detector.take_tick(rest_ticks(0.1, 0.1)[0], False) is None
     assert not detector.still
     assert windows(detector, rest_ticks(1.0, 0.1), True) == []
 

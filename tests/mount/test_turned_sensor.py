@@ -123,11 +123,11 @@ def knock(at: float, degrees: float, t: np.ndarray = T) -> np.ndarray:
 def test_a_sensor_that_is_knocked_while_driving_straight_is_reported(at: float) -> None:
     """Also where the knock lies across the end of a block."""
     alone = TurnedAlone()
-    assert alone.add(NONE, NONE, ALL) == 0.0
+    assert alone.take_rates(NONE, NONE, ALL) == 0.0
     rates = knock(at, -4.0, np.arange(3 * BLOCK_TICKS) * 0.1).reshape(3, BLOCK_TICKS)
-    found = [alone.add(rate, NONE, ALL) for rate in rates]
+    found = [alone.take_rates(rate, NONE, ALL) for rate in rates]
     assert sum(found) == pytest.approx(math.radians(-4.0), rel=0.01)
-    assert alone.add(NONE, NONE, ALL) == 0.0
+    assert alone.take_rates(NONE, NONE, ALL) == 0.0
 
 
 def test_bends_of_a_vehicle_whose_yaw_rate_is_late_and_ten_percent_off_are_none() -> None:
@@ -135,27 +135,27 @@ def test_bends_of_a_vehicle_whose_yaw_rate_is_late_and_ten_percent_off_are_none(
     for k in range(6):
         bend = 0.6 * np.exp(-(((T - 1.0 - 0.8 * k) / 0.4) ** 2))
         late = 0.6 * np.exp(-(((T - 1.2 - 0.8 * k) / 0.4) ** 2))
-        assert alone.add(bend, 1.1 * late, ALL) == 0.0
+        assert alone.take_rates(bend, 1.1 * late, ALL) == 0.0
 
 
 def test_a_gust_that_pushes_the_vehicle_is_none() -> None:
     """The force says 9 deg, the gyroscope none."""
     alone = TurnedAlone()
-    assert alone.add(NONE, knock(3.0, 9.0), ALL, FORCE) == 0.0
-    assert alone.add(knock(3.0, 9.0), NONE, ALL, FORCE) == pytest.approx(
+    assert alone.take_rates(NONE, knock(3.0, 9.0), ALL, FORCE) == 0.0
+    assert alone.take_rates(knock(3.0, 9.0), NONE, ALL, FORCE) == pytest.approx(
         math.radians(9.0), rel=0.01
     )
 
 
 def test_a_jolt_that_comes_back_is_none() -> None:
     alone = TurnedAlone()
-    assert alone.add(knock(2.0, 20.0) + knock(2.5, -20.0), NONE, ALL) == 0.0
+    assert alone.take_rates(knock(2.0, 20.0) + knock(2.5, -20.0), NONE, ALL) == 0.0
 
 
 def test_nothing_is_held_against_what_was_before_a_hole() -> None:
     alone = TurnedAlone()
     ok = ALL & (np.abs(T - 3.2) > 0.3)
-    assert alone.add(knock(3.0, 10.0), NONE, ok) == 0.0
+    assert alone.take_rates(knock(3.0, 10.0), NONE, ok) == 0.0
     assert math.radians(10.0) > YAW_RATE.least
 
 

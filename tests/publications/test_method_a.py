@@ -67,7 +67,7 @@ def says_static(a: np.ndarray, threshold: np.ndarray) -> bool:
     settings = StaticTestSettings(samples=20, duration=0.1, threshold=tuple(threshold.tolist()))
     detector = StandstillDetector(settings)
     series = Series(np.arange(20) / 200.0, a)
-    detector.step(ticks_from_samples({"accel": series}, 0, 1).tolist()[0], None)
+    detector.take_tick(ticks_from_samples({"accel": series}, 0, 1).tolist()[0], None)
     return detector.still
 
 
@@ -128,8 +128,8 @@ def test_claims_1_to_6_the_rotation_and_what_it_does_to_parallel_sensors(name: s
         one = Manoeuvre(0.0, signed=True)
         for i in part.tolist():
             interval = SpeedInterval(0.1 * i, 0.1 * i + 0.1, *accel[i], 10.0, along[i], 0.0, True)
-            one.add(interval, tuple(accel[i].tolist()), float(along[i]), 0.0, 1.0)
-        book.add(one)
+            one.add_interval(interval, tuple(accel[i].tolist()), float(along[i]), 0.0, 1.0)
+        book.add_manoeuvre(one)
     level = levelling_rotation(J)
     found = combined(book.pointers(level))
     assert found is not None

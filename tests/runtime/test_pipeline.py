@@ -36,7 +36,7 @@ def random_samples(rng: random.Random, seconds: float):
 
 
 def fed_one_by_one(pipeline: Pipeline, samples, rejected, t_last: float):
-    """The same as `run`, by `add`, `reject` and `advance`; returns the corrections by tick."""
+    """The same as `run` by `add_sample`, `reject` and `advance`; returns corrections by tick."""
     events = [
         (t, channel, value)
         for channel, series in samples.items()

@@ -114,7 +114,7 @@ class Alternatives:
         """Return which of the stated axes points the other way, or None."""
         return self._stated.contradicted(R, yaw_known)
 
-    def add(
+    def take_block(
         self,
         kept: Sequence[SignalBlock],
         R: Matrix3 | None,
@@ -175,7 +175,7 @@ class Alternatives:
     def _add_heading(self, p: SignalBlock, rate: Array, use: Flags) -> None:
         if "heading" in p.sided:  # clockwise
             heading, known = p.sided["heading"]
-            self._heading.add(TICK_S * np.cumsum(rate), -heading, use & known)
+            self._heading.add_signals(TICK_S * np.cumsum(rate), -heading, use & known)
 
     def _take(
         self,
@@ -193,21 +193,21 @@ class Alternatives:
         has_gyro = np.count_nonzero(use & p.ok_rate) >= LEAST_TICKS
         rate = p.rate @ R[2] if has_gyro else p.yaw_rate
         use &= p.ok_rate if has_gyro else p.ok_yaw
-        self._turns.add(gains[1] * p.speed * rate, force[:, 1], use)
+        self._turns.add_signals(gains[1] * p.speed * rate, force[:, 1], use)
         if has_gyro and "yaw_rate" in self._signals:
-            self._yaw_rate.add(p.yaw_rate, rate, use & p.ok_yaw)
+            self._yaw_rate.add_signals(p.yaw_rate, rate, use & p.ok_yaw)
         if "steering" in self._signals and (has_gyro or "yaw_rate" in self._signals):
             s, v = self._settings, self._settings.vehicle
             vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
             steered = yaw_rate_with_understeer(p.speed, p.steering - steering_offset, *vehicle)
-            self._steering.add(steered, rate, use & p.ok_steering)
+            self._steering.add_signals(steered, rate, use & p.ok_steering)
         fast = use & (np.abs(p.speed) > SLOW)
         if "lateral_accel" in p.sided:
             lateral, known = p.sided["lateral_accel"]
-            self._lateral.add(p.speed * rate, lateral, fast & known)
+            self._lateral.add_signals(p.speed * rate, lateral, fast & known)
         self._add_heading(p, rate, fast)
         if has_gyro:
-            self._gyro.add(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
+            self._gyro.add_ratios(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
 
     def are_seen(self, least: float) -> bool:
         """True if every alternative that the signals can show is ruled out by a log ratio of

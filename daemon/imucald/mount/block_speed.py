@@ -62,7 +62,7 @@ class BlockSpeed:
         self._rest_run = 0
         self._is_rolling = False
 
-    def of(
+    def speed_in_block(
         self,
         rows: Array,
         t: Array,

@@ -102,7 +102,7 @@ class CarriedForce:
             self.is_sure = max(sent.xy, sent.yx) < SURE
         return is_first
 
-    def add(self, p: SignalBlock) -> tuple[Array, Array]:
+    def take_block(self, p: SignalBlock) -> tuple[Array, Array]:
         """Take a block; return dv/dt and v r (N,), zero if they are not trusted."""
         self.blocks += 1
         R = self.R
@@ -115,7 +115,7 @@ class CarriedForce:
             planned[:, 1] = self.gains[1] * turn * p.ok_speed
             motion = planned @ R
         self.lone = self.vertical.advance(p, motion, self.bias)
-        self.gravity.add(p, turn)
+        self.gravity.add_block(p, turn)
         self.turn_rate = r
         use = p.learn & p.ok_speed
         if R is not None and not p.has_speed:

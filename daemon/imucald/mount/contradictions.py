@@ -184,11 +184,11 @@ class PairWatch:
         """Median of the pieces' gains."""
         return median([g for _, g in self._pieces]) if self._pieces else 1.0
 
-    def add(self, x: Array, y: Array, use: Flags) -> None:
+    def add_signals(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block. x: (N,) the reliable signal, y: (N,) the signal that must follow it."""
-        self.take(pair_sums(x, y, use))
+        self.add_sums(pair_sums(x, y, use))
 
-    def take(self, sums: _Sums) -> None:
+    def add_sums(self, sums: _Sums) -> None:
         """Take the sums of a block."""
         n, *more = sums
         if not n:
@@ -229,7 +229,7 @@ class ReverseWatch:
         self.accused = False
         self._sound_blocks = 0
 
-    def add(self, speed: Array, ok: Flags) -> None:
+    def add_speed(self, speed: Array, ok: Flags) -> None:
         """Take a block; speed: (N,) [m/s], ok: (N,) where it is known."""
         back = np.count_nonzero(ok & (speed < -MAX_REVERSE))
         if back >= LONG_REVERSE:
@@ -259,7 +259,7 @@ class Contradictions:
         for pair in (self.turns, self.hard_turns, self.speed):
             pair.forget()
 
-    def add(
+    def take_block(
         self,
         p: SignalBlock,
         turn_rate: Array,
@@ -273,7 +273,7 @@ class Contradictions:
 
         late: delay of the speed against the force [s]. None: unknown, so the force is not checked.
         """
-        self.reverse.add(p.speed, p.ok_speed)
+        self.reverse.add_speed(p.speed, p.ok_speed)
         walk = 0.0
         asked = _YAW_RATE * (own_gyro and measured_yaw_rate)
         asked += _STEERING * (own_gyro or measured_yaw_rate)
@@ -294,12 +294,12 @@ class Contradictions:
             walk,
             ticks,
         )
-        self.yaw_rate.take(yaw_rate)
-        self.steering.take(steering)
+        self.yaw_rate.add_sums(yaw_rate)
+        self.steering.add_sums(steering)
         if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
             self.yaw_rate.accused = self.steering.accused = True
         for pair, sums in zip((self.turns, self.hard_turns, self.speed), forces, strict=True):
-            pair.take(sums)
+            pair.add_sums(sums)
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:

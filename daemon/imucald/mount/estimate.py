@@ -101,7 +101,7 @@ def _rows(matrix: Matrix3) -> Rows:
 
 
 HOUSING = ""
-"""Name in place of a channel: the rotation alone, see `Correction.of`."""
+"""Name in place of a channel: the rotation alone, see `Correction.matrix_and_offset`."""
 NO_OFFSET: Vector = (0.0, 0.0, 0.0)
 
 
@@ -146,7 +146,7 @@ class Correction(Struct, frozen=True):
         is_one = self.force == self.rotation and self.rate == self.rotation
         return is_one and self.force_offset == NO_OFFSET and self.rate_offset == NO_OFFSET
 
-    def of(self, channel: str) -> tuple[Rows, Vector]:
+    def matrix_and_offset(self, channel: str) -> tuple[Rows, Vector]:
         """Return matrix and offset for the samples of a channel; the rotation alone except for two
         channels.
         """
@@ -158,7 +158,8 @@ class Correction(Struct, frozen=True):
 
     def applied(self, channel: str, values: Sequence[float]) -> Vector:
         """Return a sample (3,) of a channel in vehicle axes."""
-        # Each sample on a bus passes through here: `of` and `times` would double the time.
+        # Each sample on a bus passes through here: `matrix_and_offset` and `times` would double
+        # the time.
         if channel == "accel":
             matrix, offset = self.force, self.force_offset
         elif channel == "gyro":

@@ -190,7 +190,7 @@ class JointEstimator:
 
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
-        self._served.step()
+        self._served.move_on()
         if self._signals.push(tick):
             self._signals.take_mount(self._known_mount())
             self._take_block(self._signals.block())
@@ -310,14 +310,14 @@ class JointEstimator:
         is_watched = self._watched is not None
         self._now = float(p.t[-1])
         self._kept.append(p)
-        self._driven.add(*carried.add(p))
+        self._driven.add_accelerations(*carried.take_block(p))
         self._follow_steering(p)
         turned = None
         if carried.R is not None:
             turned = changes.at_once(p, carried, signals, is_watched)
         if turned is not None:  # moved by hand: no sign and no unit is contradicted
             self._checks.forget_forces()
-        elif self._checks.add(p, carried, signals, self._kept, self._fits_no_sensor):
+        elif self._checks.take_block(p, carried, signals, self._kept, self._fits_no_sensor):
             self._begin_without_rotation([p])
         self._solve_with(p)
         self._follow_creep()
@@ -342,9 +342,9 @@ class JointEstimator:
         self._has_zero = self._has_zero or known
         if self._now <= self._taken_until:  # after a move it was among those that count
             return
-        target.add(block)
+        target.add_block(block)
         if target is not self._joint and not self._joint.signals.speed:  # the speed may stay away
-            self._joint.add(_block(p, self._joint.signals))
+            self._joint.add_block(_block(p, self._joint.signals))
             _is_solved(self._joint)
         if self._sudden > 0.0:  # a solution would mix what was before the change with what is after
             return
@@ -379,7 +379,7 @@ class JointEstimator:
             self._changes.skip()
         made = self._new_evidence(known, is_moved)
         for p in kept[max(len(kept) - former.blocks, 0) :]:
-            made.add(_block(p, made.signals))
+            made.add_block(_block(p, made.signals))
         if has_begun and self.solution is not None:  # it is served until the new one is usable
             self._next = made
             return
@@ -416,7 +416,7 @@ class JointEstimator:
         if not measured or not np.count_nonzero(p.ok_steering) or self._signals.without_speed:
             return
         use = p.ok_steering & p.ok_speed & p.learn
-        self._steering.add(p.steering, p.speed, self._carried.turn_rate, use)
+        self._steering.add_block(p.steering, p.speed, self._carried.turn_rate, use)
         fitted = self._steering_fitted()
         if fitted is not None:
             self._signals.steering_offset = fitted[0]
@@ -441,7 +441,7 @@ class JointEstimator:
             self._off_vertical += 1
             self._begin_without_rotation([p])
             return True
-        changes.add(p, carried, self._signals)
+        changes.take_block(p, carried, self._signals)
         if self.state not in GOOD:  # nothing is served as good; the fit is young
             if turned is not None:
                 self._begin_without_rotation()
@@ -467,10 +467,10 @@ class JointEstimator:
         A question that stays open is answered by new evidence once enough blocks are stored.
         """
         evidence, self._is_gravity_open, self._sudden = self._watched, False, -math.inf
-        step = None if evidence is None else evidence.step()
+        step = None if evidence is None else evidence.sudden_change()
         if evidence is None or step is None or not step.is_certain:
             return None
-        turn = SuddenTurn.of(step)
+        turn = SuddenTurn.from_change(step)
         if abs(turn.size) < (ALERT_LIMIT if step.is_turn else NAMED / GRAVITY):
             return None
         self._sudden = step.log_odds
@@ -525,7 +525,7 @@ class JointEstimator:
             changes.restart()
             self._carry(after, self._carried, turn)
             self._begin_again(after, since)
-        changes.take(found, block, std, good)
+        changes.note_change(found, block, std, good)
 
     def _carry(
         self,
@@ -542,7 +542,7 @@ class JointEstimator:
         if before is not None:
             self._carried.start_from(before, turn)
         for p in blocks:
-            self._driven.add(*self._carried.add(p))
+            self._driven.add_accelerations(*self._carried.take_block(p))
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin again from these blocks, without the rotation so far even as a hint."""
@@ -579,7 +579,7 @@ class JointEstimator:
         past = drifts[-1] if drifts else None
         made = self._new_evidence(self._known_before, is_moved=True, past=past)
         for p in blocks:
-            made.add(_block(p, made.signals))
+            made.add_block(_block(p, made.signals))
             self._taken_until = float(p.t[-1])
         return made
 
@@ -604,7 +604,7 @@ class JointEstimator:
         acceptance = self._acceptance()
         is_doubted = bool(checks.standing) or self._is_gravity_open
         self._served.judge(self._known, acceptance, is_doubted, self._found_correction)
-        self._progress.take(block * BLOCK_S, self._known, self._settings, acceptance)
+        self._progress.note_knowledge(block * BLOCK_S, self._known, self._settings, acceptance)
 
     def _stepped_zeros(self) -> Iterator[StandingFault]:
         """Yield the faults of an accelerometer whose zero has stepped along or across the vertical,

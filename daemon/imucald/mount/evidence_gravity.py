@@ -56,7 +56,7 @@ class GravityEvidence:
         self._stop_used = 0.0
         self._resting = False
 
-    def add(self, p: SignalBlock, turn: Array) -> None:
+    def add_block(self, p: SignalBlock, turn: Array) -> None:
         """Take a block; turn: (N,) v r [m/s^2]."""
         sums = _sums(p, turn, self._stop_used)
         weight, x, y, z, accel, across, metres, used, resting, moving, each = sums

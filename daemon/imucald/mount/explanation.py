@@ -245,7 +245,7 @@ class ProgressWatch:
     def __init__(self) -> None:
         self._lately: deque[tuple[float, dict[MountState, Shares]]] = deque(maxlen=REMEMBERED)
 
-    def take(
+    def note_knowledge(
         self,
         t: float,
         known: MountKnowledge,

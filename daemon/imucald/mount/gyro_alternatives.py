@@ -76,7 +76,7 @@ class GyroAlternatives:
         self._sums[:] = self._late[:] = 0.0
         self.blocks = 0
 
-    def add(self, ratios: Array) -> None:
+    def add_ratios(self, ratios: Array) -> None:
         """Take the log ratios (13,) of a block (`gyro_ratios`)."""
         self._sums = _held(self._sums + _held(ratios, -MOST, MOST), -HELD, HELD)
         self.blocks += 1

@@ -89,7 +89,9 @@ class TurnedAlone:
         """Restart: nothing is compared with earlier data."""
         self._before = np.zeros((2, 0))
 
-    def add(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE) -> float:
+    def take_rates(
+        self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE
+    ) -> float:
         """Take a block (N,) [rad/s]; return the angle by which the sensor turned alone [rad],
         or 0.
         """
@@ -234,7 +236,7 @@ class LargeChangeDetector:
         self._turned = np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
 
-    def add(
+    def take_block(
         self,
         sums: BlockSums,
         use: Flags,
@@ -348,7 +350,7 @@ class LargeChangeDetector:
             ok = p.ok_force & p.ok_speed & (np.abs(p.speed) > MIN_SPEED)
             vehicle, by = motion.force[:, 1] / np.where(ok, p.speed, 1.0), FORCE
         by = by.beside(float(R[2] @ p.rate_walk @ R[2]))
-        turned = self._alone.add(motion.turn_rate, vehicle, p.ok_rate & ok, by)
+        turned = self._alone.take_rates(motion.turn_rate, vehicle, p.ok_rate & ok, by)
         if turned == 0.0:
             return None
         return LargeChange(2, turned, turned / (by.least / DEVIATIONS), 1)

@@ -65,7 +65,7 @@ class Mirrored:
         """Begin again."""
         self.sum, self.blocks = 0.0, 0
 
-    def add(self, x: Array, y: Array, use: Flags) -> None:
+    def add_signals(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block's signals (N,)."""
         if np.count_nonzero(use) < LEAST_TICKS:
             return

@@ -40,7 +40,7 @@ class SuddenTurn(Struct, frozen=True):
     turn: Array
 
     @classmethod
-    def of(cls, step: SuddenChange) -> SuddenTurn:
+    def from_change(cls, step: SuddenChange) -> SuddenTurn:
         """Return the rotation of a step, or that by which gravity seems to turn with a zero."""
         angles = step.size if step.is_turn else step.size / GRAVITY
         axis = int(np.abs(angles).argmax())
@@ -132,14 +132,14 @@ class MountChanges:
             change = self._large.while_driving(p, carried.R, motion, "yaw_rate" in signals.seen)
         return change
 
-    def add(self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker) -> None:
+    def take_block(self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker) -> None:
         """Take a block, which is compared with earlier and later blocks."""
         assert carried.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         use = driven(p)
         sums = block_sums(p, carried.turn_rate, use)
         motion = carried.motion(p, carried.R)
-        self._large.add(sums, use, carried.R, motion, carried.gains, *has)
+        self._large.take_block(sums, use, carried.R, motion, carried.gains, *has)
 
     def large(self, carried: CarriedForce, is_watched: bool) -> LargeChange | None:
         """Return a rotation by several degrees within the last blocks.
@@ -171,7 +171,9 @@ class MountChanges:
             self.borne[found.axis] = found.size
         return is_new
 
-    def take(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> None:
+    def note_change(
+        self, found: MountChange, block: int, std: float, good: GoodMount | None
+    ) -> None:
         """Take a change after which the mount is searched again. good: the mount before it."""
         self.history.append(TakenChange(block, found, std, before=good))
         self._open = self.history[-1]

@@ -65,7 +65,7 @@ class PlumbLine:
     def _clear(self) -> None:
         self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
-    def step(self, tick: TickRow, correction: Correction | None) -> None:
+    def take_tick(self, tick: TickRow, correction: Correction | None) -> None:
         """Take a tick and the correction that is applied to it."""
         if tick[SPEED.n]:
             standing = abs(tick[SPEED.mean]) < ZERO_SPEED

@@ -223,7 +223,7 @@ class RestoredEstimator:
             self._follow()
             return
         if self.phase is not Phase.NEW:
-            self._plumb_line.step(tick, self._served.correction)
+            self._plumb_line.take_tick(tick, self._served.correction)
             if self._plumb_line.is_off:
                 self.phase = Phase.DOUBTED
         self._ticks += 1
@@ -378,7 +378,7 @@ class RestoredEstimator:
             self.phase = Phase.DOUBTED
             return
         self._served.aim(target)
-        self._served.step()
+        self._served.move_on()
         if self._served.correction == target:
             self.phase, self._turned = Phase.NEW, None
 

@@ -28,7 +28,8 @@ class ServedMount:
         self._slewed = SlewedCorrection(SLEW_RATE)
         self.state = MountState.WAITING
         self.has_moved = False
-        self.step = self._slewed.step  # runs every tick: an own method would cost a tenth more
+        # Runs every tick: an own method would cost a tenth more.
+        self.move_on = self._slewed.move_on
 
     @property
     def correction(self) -> Correction | None:

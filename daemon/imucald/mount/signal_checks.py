@@ -56,7 +56,7 @@ class SignalChecks:
         self.standing: tuple[StandingFault, ...] = ()
         self.history: list[tuple[int, StandingFault]] = []
 
-    def add(
+    def take_block(
         self,
         p: SignalBlock,
         carried: CarriedForce,
@@ -73,7 +73,7 @@ class SignalChecks:
             self.standing = ()
             return False
         R, offset = carried.R, signals.steering_offset
-        self._contradictions.add(
+        self._contradictions.take_block(
             p,
             carried.turn_rate,
             carried.own_gyro,
@@ -82,7 +82,7 @@ class SignalChecks:
             "yaw_rate" in signals.seen,
             carried.delay.value if carried.delay.is_known else None,
         )
-        self._alternatives.add(kept, R, carried.bias, carried.gains, signals.seen, offset)
+        self._alternatives.take_block(kept, R, carried.bias, carried.gains, signals.seen, offset)
         before = tuple(f for f in self.standing if f not in OF_NO_PAIR)
         self.standing = self._contradictions.faults
         is_sure = carried.is_sure or fits_no_sensor or StandingFault.GYRO_AXES in before

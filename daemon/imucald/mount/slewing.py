@@ -60,7 +60,7 @@ class SlewedCorrection:
         """Apply nothing."""
         self._target = self.correction = None
 
-    def step(self) -> None:
+    def move_on(self) -> None:
         """Move on by one tick."""
         target, now = self._target, self.correction
         if target is None or now is None or target is now:  # as `is_moving`

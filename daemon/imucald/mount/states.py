@@ -43,7 +43,7 @@ class Manoeuvres:
         counted.
         """
 
-    def add(self, accel: Array, turn: Array) -> None:
+    def add_accelerations(self, accel: Array, turn: Array) -> None:
         """Take a block of dv/dt and v r, zero if they are not trusted."""
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))

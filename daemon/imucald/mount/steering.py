@@ -44,7 +44,9 @@ class SteeringOffsetEstimator:
         self.seen = False
         self._fit: tuple[float, float, float] | None = None  # offset, variance, per lateral force
 
-    def add(self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> None:
+    def add_block(
+        self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]
+    ) -> None:
         """Take a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
         new = _sums_of(angle, speed, yaw_rate, use)
         if new[0]:

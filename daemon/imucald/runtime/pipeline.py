@@ -2,8 +2,8 @@
 clock.
 
 Samples are gathered into ticks. At the end of each tick the estimator learns from it and gives the
-correction for the next tick. The live daemon adds samples one by one (`add`), replay adds whole
-columns (`run`). Both give the same corrections to the last bit.
+correction for the next tick. The live daemon adds samples one by one (`add_sample`), replay adds
+whole columns (`run`). Both give the same corrections to the last bit.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class TickCorrections(Struct, frozen=True, dict=True):
         """Return, for each correction, matrix by rows and offset for a channel's samples (m, 12);
         or NaN.
         """
-        of = [None if c is None else c.of(channel) for c in self._spells[0]]
+        of = [None if c is None else c.matrix_and_offset(channel) for c in self._spells[0]]
         return np.array([(math.nan,) * 12 if c is None else (*c[0], *c[1]) for c in of])
 
     def turned(
@@ -109,7 +109,8 @@ class TickCorrections(Struct, frozen=True, dict=True):
 
     def rows_in(self, channel: str, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return matrix by rows and offset for a channel's samples in ticks (N,), counted from
-        `first`: (N, 12), SI; NaN if nothing is applied. `Correction.of` selects the matrix.
+        `first`: (N, 12), SI; NaN if nothing is applied. `Correction.matrix_and_offset` selects
+        them.
 
         The shape is (1, 12) if the correction is the same in all n ticks, as most of the time.
         """

@@ -234,7 +234,7 @@ class ZeroDrift:
         self._covariance[:, UP] = 0.0
         self._covariance[UP, UP] = self._drifts.up**2 * np.eye(2)
 
-    def add(
+    def add_block(
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array,
         rate_walk: Array,
     ) -> None:  # fmt: skip
@@ -316,7 +316,7 @@ class ZeroDrift:
         wide = np.diag(self.found().variance()[:2]) / GRAVITY**2
         return rows @ self._mean, rows @ self._covariance @ rows.T + wide
 
-    def step(self) -> SuddenChange | None:
+    def sudden_change(self) -> SuddenChange | None:
         """Return the most likely sudden change in the last blocks; None before any block."""
         if not len(self._sudden.began):
             return None
@@ -398,8 +398,8 @@ class ZeroDrift:
         made, stepped = whiten @ columns, whiten @ stepped
         first = made[:, : 1 + STATES]
         both = first.T @ made
-        ramps.take(made[:, 1 + STATES :], both[:, 1 + STATES :])
-        sudden.take(stepped, first.T @ stepped)
+        ramps.add_answers(made[:, 1 + STATES :], both[:, 1 + STATES :])
+        sudden.add_answers(stepped, first.T @ stepped)
         found = both[0, 1 : 1 + STATES]
         self._mean += found
         self._mean[UP] = path.up[-1] + end @ found

@@ -349,7 +349,7 @@ class Evidence:
             self._found_drift = found.turned(self._axes[0] @ inverse(self._drift_axes[0]))
         return self._found_drift
 
-    def step(self) -> SuddenChange | None:
+    def sudden_change(self) -> SuddenChange | None:
         """Return the most likely sudden change in the last minute.
 
         Returns None if no filter tests for one, or before it has taken all blocks.
@@ -357,11 +357,11 @@ class Evidence:
         if self._axes is None or not self._follows_drift:
             return None
         self._follow_drift()
-        return self._drift.step() if self._is_up_to(self._followed) else None
+        return self._drift.sudden_change() if self._is_up_to(self._followed) else None
 
     @property
     def watch_axes(self) -> Matrix3:
-        """Matrix (3, 3) from sensor axes to the axes of `step`."""
+        """Matrix (3, 3) from sensor axes to the axes of `sudden_change`."""
         return self._drift_axes[0]
 
     @property
@@ -421,7 +421,7 @@ class Evidence:
         """Note a jump of time: later blocks are not joined with earlier ones."""
         self._breaks.add(len(self._blocks))
 
-    def add(self, block: Block) -> None:
+    def add_block(self, block: Block) -> None:
         """Take the next block."""
         self._blocks.append(block)
         if len(self._blocks) > MOST_BLOCKS:
@@ -516,7 +516,7 @@ class Evidence:
             for k, b in enumerate(self._blocks[first:stop]):
                 part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
                 ticks = left[part], rate[part], speed[part], accel[part]
-                self._drift.add(*ticks, b.use, V @ b.rate_zero, V @ b.rate_walk @ V.T)
+                self._drift.add_block(*ticks, b.use, V @ b.rate_zero, V @ b.rate_walk @ V.T)
             self._followed = stop
 
     def _in_axes(
@@ -580,7 +580,7 @@ class Evidence:
         if good.any():
             x = means_between(x, known_times(knots, v, self._blocks[stop - 1].least_speed), use)
             ends = np.arange(stop - len(good), stop)[good]
-            self._sums.add(wd.spectra(_by_window(x)[good], in_use[good]), ends)
+            self._sums.add_spectra(wd.spectra(_by_window(x)[good], in_use[good]), ends)
 
     def _eliminated(
         self, first: int, stop: int, use: Flags

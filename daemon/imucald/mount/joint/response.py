@@ -41,7 +41,7 @@ class Packing:
         self._places = np.zeros((columns, columns), dtype=int)
         self._places[self._i, self._j] = self._places[self._j, self._i] = np.arange(self.size)
 
-    def of(self, products: Array, columns: tuple[int, ...]) -> Array:
+    def packed(self, products: Array, columns: tuple[int, ...]) -> Array:
         """Return rows (..., size) of these columns of matrices."""
         pick, all_of = np.array(columns), products.shape[-1]
         flat = products.reshape(*products.shape[:-2], all_of**2)

@@ -155,7 +155,7 @@ class Onsets:
         self.score = np.concatenate([self.score, np.zeros((1, k))])
         return gone
 
-    def take(self, answers: Array, both: Array) -> None:
+    def add_answers(self, answers: Array, both: Array) -> None:
         """Take the whitened answers (m, n k) of m innovations to the unknowns.
 
         both: (1 + STATES, n k) products of the answers with the innovations, and with the rows by

@@ -81,7 +81,7 @@ class FitSums:
         """
         return self._fits.usual if self._last is None else self._last.noise
 
-    def add(self, products: Array) -> None:
+    def add_windows(self, products: Array) -> None:
         """Take windows (n, BANDS, columns, columns)."""
         new = np.ones((len(self._store), len(products)))
         at, stop = self._counts.shape[1], self._counts.shape[1] + len(products)
@@ -89,7 +89,7 @@ class FitSums:
             room = np.zeros((len(new), stop - at + ROUND, *self._store.shape[2:]))
             self._store = np.concatenate([self._rows, room], axis=1)
         for i, columns in enumerate(self._fits.columns):
-            self._store[i, at:stop] = self._packing.of(products, columns)
+            self._store[i, at:stop] = self._packing.packed(products, columns)
         self._counts = np.concatenate([self._counts, new], axis=1)
         if (last := self._last) is not None:
             rows = self._store[:, at:stop]
@@ -230,11 +230,11 @@ class WindowSums:
         self._power = np.zeros((0, len(wd.BINS)))
         self._shared = np.zeros((0, 2, 4))
 
-    def add(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
+    def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
         """Take spectra (n, bins, columns) of windows that end with these blocks (n,)."""
         products = wd.products(spectra)
         for fit in self._fits:
-            fit.add(products)
+            fit.add_windows(products)
         driven = spectra[:, :, wd.FIRST_X]
         main = products[:, :, MAIN].sum(axis=1)
         self._blocks = np.concatenate([self._blocks, blocks])

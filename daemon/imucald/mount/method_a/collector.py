@@ -35,7 +35,9 @@ class ManoeuvreCollector:
         """Drop the open manoeuvre because time jumped."""
         self._open = None
 
-    def take(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> bool:
+    def take_interval(
+        self, interval: SpeedInterval, f: Vector, along: float, lateral: float
+    ) -> bool:
         """Take an interval with speed; return True if a manoeuvre has ended and is kept.
 
         f: force less offset, sensor axes; along, lateral: dv/dt and v r less their offsets [m/s^2].
@@ -59,7 +61,7 @@ class ManoeuvreCollector:
         weight = (
             1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(interval.speed) / s.wander_speed)
         )
-        m.add(interval, f, along, lateral, weight)
+        m.add_interval(interval, f, along, lateral, weight)
         if abs(interval.dvdt) > abs(m.peak):
             m.peak = interval.dvdt
         return ended or too_old
@@ -75,7 +77,7 @@ class ManoeuvreCollector:
         if size < self._settings.calibration.straight.min_speed_change:
             return False
         m, ended = self._manoeuvre(interval, signed=False)
-        m.add(interval, f, 0.0, 0.0, 1.0)
+        m.add_interval(interval, f, 0.0, 0.0, 1.0)
         m.peak = max(m.peak, size)
         return ended
 
@@ -102,5 +104,5 @@ class ManoeuvreCollector:
             return False
         if m.seconds < self._settings.min_manoeuvre:
             return False
-        (self.signed if m.signed else self.unsigned).add(m)
+        (self.signed if m.signed else self.unsigned).add_manoeuvre(m)
         return True

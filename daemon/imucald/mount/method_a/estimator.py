@@ -116,7 +116,7 @@ class PublishedEstimator:
         force = self._force
         if force is not None:
             tilt = self._tilt
-            if tilt.step(tick, force, clean, self._speed):
+            if tilt.take_tick(tick, force, clean, self._speed):
                 self._solve()
             if tilt.departed:
                 self._sign.depart(tick[T])
@@ -125,7 +125,7 @@ class PublishedEstimator:
             interval = self._intervals.take_tick(tick[T], x, y, z, yaw_rate, clean)
             if interval is not None:
                 self._take_interval(interval)
-        self._applied.step()
+        self._applied.move_on()
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""
@@ -221,7 +221,7 @@ class PublishedEstimator:
         target = s.calibration.target_angle
         lateral = interval.speed * interval.yaw_rate if target.subtract_lateral else 0.0
         lateral = 0.0 if isnan(lateral) else lateral
-        self._offset.add(interval, dvdt, lateral, with_speed=known)
+        self._offset.add_interval(interval, dvdt, lateral, with_speed=known)
         self._straight_s += dt
         if not ready or self._tilt.still or self._straight_s < s.settle:
             self._end_manoeuvre()
@@ -229,7 +229,7 @@ class PublishedEstimator:
         braking = self._brake > 0.5
         self._sign.take_straight(interval, f, self._tilt.up, self._reverse, braking)
         if known and "speed" in target.sign_from:
-            ended = self._collector.take(interval, f, dvdt - m_dvdt, lateral - m_lateral)
+            ended = self._collector.take_interval(interval, f, dvdt - m_dvdt, lateral - m_lateral)
         else:
             ended = self._collector.take_unsigned(interval, f, self._tilt.level)
         if ended:

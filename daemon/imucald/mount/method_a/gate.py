@@ -67,7 +67,9 @@ class WanderingOffset:
             return [0.0] * 5
         return [s / self._weight for s in self._sums]
 
-    def add(self, interval: SpeedInterval, dvdt: float, lateral: float, with_speed: bool) -> None:
+    def add_interval(
+        self, interval: SpeedInterval, dvdt: float, lateral: float, with_speed: bool
+    ) -> None:
         """Take a straight interval with its dv/dt and v r [m/s^2]."""
         if self._tau > 0.0:
             dt = interval.t1 - interval.t0

@@ -60,7 +60,7 @@ class StopBook:
         self._sums: deque[list[float]] = deque(maxlen=PLACES_KEPT if average else 1)
         self.seen = 0
 
-    def add(self, force: Vector, count: float, new_place: bool) -> None:
+    def add_static_window(self, force: Vector, count: float, new_place: bool) -> None:
         """Take a static window: mean force (3,) [m/s^2] of `count` samples.
 
         new_place: the vehicle has moved since the last window; otherwise both are one stop.
@@ -114,7 +114,7 @@ class LongRunLevel:
         self._x = self._y = self._z = 0.0
         self.seconds = 0.0
 
-    def add(self, x: float, y: float, z: float, seconds: float) -> None:
+    def add_mean_force(self, x: float, y: float, z: float, seconds: float) -> None:
         """Take a mean specific force [m/s^2] over some seconds."""
         self._x += x * seconds
         self._y += y * seconds

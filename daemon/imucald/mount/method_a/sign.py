@@ -42,7 +42,7 @@ class SignVotes:
         self._votes: deque[Vector] = deque(maxlen=VOTES_KEPT)
         self.counts: dict[str, int] = {}
 
-    def add(self, source: str, forward: Sequence[float]) -> None:
+    def add_vote(self, source: str, forward: Sequence[float]) -> None:
         """Take a vote: a vector (3,) in sensor axes that should point forward."""
         x, y, z = forward
         norm = math.sqrt(x * x + y * y + z * z)
@@ -72,7 +72,7 @@ class _Gathered:
     def clear(self) -> None:
         self.x = self.y = self.z = self.seconds = 0.0
 
-    def add(self, f: Vector, dt: float, direction: float) -> None:
+    def add_force(self, f: Vector, dt: float, direction: float) -> None:
         self.x += direction * dt * f[0]
         self.y += direction * dt * f[1]
         self.z += direction * dt * f[2]
@@ -114,7 +114,7 @@ class SignEvidence:
         """Take any interval: in a turn the force points to the side that the gyro turns to."""
         turn = self._turn
         if abs(interval.yaw_rate) > TURN_RATE:
-            turn.add(f, interval.t1 - interval.t0, math.copysign(1.0, interval.yaw_rate))
+            turn.add_force(f, interval.t1 - interval.t0, math.copysign(1.0, interval.yaw_rate))
             return
         if turn.seconds >= TURN_S and not reverse and up is not None:
             x, y, z = turn.horizontal(up)  # to the left
@@ -132,14 +132,14 @@ class SignEvidence:
         direction = -1.0 if reverse else 1.0
         first, brake = self._first, self._brake
         if interval.t0 - self._departed < FIRST_MOTION_WITHIN_S:
-            first.add(f, dt, direction)
+            first.add_force(f, dt, direction)
             if first.seconds >= GATHER_S:
                 self._vote("first_motion", first.horizontal(up), FIRST_MOTION_FORCE * GATHER_S)
                 self._departed = -math.inf
         if not braking:
             brake.clear()
             return
-        brake.add(f, dt, -direction)
+        brake.add_force(f, dt, -direction)
         if brake.seconds >= GATHER_S:
             self._vote("brake", brake.horizontal(up), BRAKE_FORCE * GATHER_S)
             brake.clear()
@@ -147,4 +147,4 @@ class SignEvidence:
     def _vote(self, source: str, forward: Vector, least: float) -> None:
         x, y, z = forward
         if source in self._sources and math.sqrt(x * x + y * y + z * z) > least:
-            self.votes.add(source, forward)
+            self.votes.add_vote(source, forward)

@@ -59,7 +59,7 @@ class StandstillDetector:
         self._low = [1e9, 1e9, 1e9]
         self._high = [-1e9, -1e9, -1e9]
 
-    def step(self, tick: TickRow, stopped: bool | None) -> StaticWindow | None:
+    def take_tick(self, tick: TickRow, stopped: bool | None) -> StaticWindow | None:
         """Take a tick; return a window that has just been confirmed static.
 
         stopped: whether speed says that the vehicle stands; None if speed is not known.

@@ -65,7 +65,7 @@ class Manoeuvre:
         self.seconds = 0.0
         self.sums = [0.0] * 12
 
-    def add(
+    def add_interval(
         self,
         interval: SpeedInterval,
         f: Sequence[float],
@@ -96,7 +96,7 @@ class ManoeuvreBook:
     def __len__(self) -> int:
         return len(self._sums)
 
-    def add(self, manoeuvre: Manoeuvre) -> None:
+    def add_manoeuvre(self, manoeuvre: Manoeuvre) -> None:
         """Store a finished manoeuvre."""
         self._sums.append(manoeuvre.sums)
 

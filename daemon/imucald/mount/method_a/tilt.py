@@ -55,7 +55,7 @@ class TiltEstimator:
         self._standstill.restart()
         self.still = self.departed = False
 
-    def step(self, tick: TickRow, force: Vector, clean: bool, speed: float) -> bool:
+    def take_tick(self, tick: TickRow, force: Vector, clean: bool, speed: float) -> bool:
         """Take a tick; return whether the tilt has changed.
 
         force (3,) [m/s^2]; clean: whether it may be learnt from; speed [m/s] or NaN.
@@ -64,12 +64,12 @@ class TiltEstimator:
         stopped = None if isnan(speed) else abs(speed) <= s.calibration.static.standstill_speed
         if not clean:
             self._standstill.restart()
-        window = self._standstill.step(tick, stopped) if clean else None
+        window = self._standstill.take_tick(tick, stopped) if clean else None
         changed = False
         if window is not None and not s.is_level:
             far = self._moved > s.place_distance
             far = far or (stopped is None and self._moved_s > s.place_seconds)
-            self._stops.add((window.x, window.y, window.z), window.samples, far)
+            self._stops.add_static_window((window.x, window.y, window.z), window.samples, far)
             self._moved = self._moved_s = 0.0
             changed = self._take(self._stops.tilt())
         still = self._standstill.still
@@ -98,7 +98,7 @@ class TiltEstimator:
             return False
         run = self._long_run
         before = int(run.seconds)
-        run.add(force[0], force[1], force[2], TICK_S)
+        run.add_mean_force(force[0], force[1], force[2], TICK_S)
         if run.seconds < self._settings.level_without_stop_after or int(run.seconds) == before:
             return False
         return self._take(run.tilt())
