@@ -126,6 +126,10 @@ ready within 0.3 s and takes less than 50 MiB, with those parts only that its co
 MIN_BODY_LINES = 6
 """A function body of so many lines must not stand twice."""
 
+BARE_NAMES, MOST_CLASSES = ("add", "of", "step", "take"), 8
+"""Method names that do not say what a method adds or takes, and in how many classes each may stand:
+`step(tick)` is the name of every estimator, `take(index)` is numpy's."""
+
 KNOWN: Mapping[str, set[str]] = {
     "room": set(),
     "circle": set(),
@@ -332,6 +336,18 @@ def test_no_function_body_stands_twice():
                 places.setdefault(key, []).append(f"{name}.{function.name}")
     twice = (", ".join(sorted(found)) for found in places.values() if len(found) > 1)
     hold("function", twice, "a function's body stands twice; write it once and import it:")
+
+
+def test_few_classes_have_a_method_whose_name_says_too_little():
+    places: dict[str, list[str]] = {name: [] for name in BARE_NAMES}
+    for name, tree in modules().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                for function in node.body:
+                    if isinstance(function, ast.FunctionDef) and function.name in places:
+                        places[function.name].append(f"{name}.{node.name}")
+    many = {bare: classes for bare, classes in places.items() if len(classes) > MOST_CLASSES}
+    assert not many, f"say in the name what the method adds or takes: {many}"
 
 
 def test_functions_import_only_large_libraries():
