@@ -63,7 +63,7 @@ def stepped(made: list[Block], zero: Array, until: int = 999) -> list[Block]:
 
 
 @pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize(("degrees", "is_felt"), [(3.0, False), (-6.0, False), (-6.0, True)])
+@pytest.mark.parametrize(("degrees", "is_felt"), [(3.0, False), (-6.0, False), (-10.0, True)])
 def test_a_turn_is_found_within_a_minute_with_axis_sign_and_size(
     axis: int, degrees: float, is_felt: bool
 ) -> None:

@@ -51,7 +51,7 @@ from imucald.mount.explanation import (
     waiting_reasons,
 )
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.joint.drift import NAMED, Drift
+from imucald.mount.joint.drift import LOG_ONSETS, NAMED, Drift
 from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
@@ -134,6 +134,7 @@ class JointEstimator:
         self._stepped = np.zeros(3)  # change of the zero in this drive, sensor axes [m/s^2]
         self._level: LevelChange | None = None
         self._is_gravity_open, self._sudden = False, -math.inf  # log odds of a sudden change
+        self._instead = -math.inf  # log odds of what else may be in place of a drift
         self._lately: deque[tuple[int, ...]] = deque(maxlen=MINUTE_BLOCKS)
         self._off_vertical = self._failed_for = 0
         self._known_before: KnownSensor | None = None
@@ -466,24 +467,33 @@ class JointEstimator:
 
         A question that stays open is answered by new evidence once enough blocks are stored.
         """
-        evidence, self._is_gravity_open, self._sudden = self._watched, False, -math.inf
+        evidence, self._is_gravity_open = self._watched, False
+        self._sudden = self._instead = -math.inf
         step = None if evidence is None else evidence.sudden_change()
-        if evidence is None or step is None or not step.is_certain:
+        if evidence is None or step is None:
+            return None
+        self._instead = step.grade - LOG_ONSETS
+        if not step.is_certain:
             return None
         turn = SuddenTurn.from_change(step)
         if abs(turn.size) < (ALERT_LIMIT if step.is_turn else NAMED / GRAVITY):
             return None
         self._sudden = step.log_odds
-        if step.is_decided and not step.is_turn:
+        self._instead = max(self._instead, self._sudden)
+        if step.is_decided and step.is_turn:
+            return turn
+        if not step.is_decided and step.blocks <= KEPT_BLOCKS:
+            self._is_gravity_open = not self._changes.is_bearable(turn, max(self._misleading()))
+            return None
+        if step.is_decided:
             self._stepped += inverse(evidence.watch_axes) @ step.size
             self._level = LevelChange(step.level, step.level + float(step.size[2]))
-            self._lately_known.clear()
-            self._known_before = None  # of another zero
-            self._begin_again(blocks_since(turn, self._kept))
-            return None
-        if step.is_decided or step.blocks > KEPT_BLOCKS:  # new evidence finds mount and zero anew
-            return turn
-        self._is_gravity_open = not self._changes.is_bearable(turn, max(self._misleading()))
+        else:
+            self._served.has_moved = True
+            self._changes.restart()
+        self._lately_known.clear()
+        self._known_before = None  # of another zero
+        self._begin_again(blocks_since(turn, self._kept))
         return None
 
     def _small_change(self) -> Move | None:
@@ -575,7 +585,8 @@ class JointEstimator:
         if (before := self._solution_until(began)) is not None:
             self._known_before = before.sensor(self.priors)
         self._lately_known.clear()
-        drifts = [drift for end, drift in self._drifts if end < began]  # later blocks count again
+        certain = began - 2.0 * BLOCK_S  # the change may be in the blocks since; later ones count
+        drifts = [drift for end, drift in self._drifts if end < certain]
         past = drifts[-1] if drifts else None
         made = self._new_evidence(self._known_before, is_moved=True, past=past)
         for p in blocks:
@@ -591,7 +602,7 @@ class JointEstimator:
         """
         checks, block = self._checks, self._signals.blocks
         self._fits_no_sensor &= not self._is_usable(self.solution)
-        is_drift = self._drift.is_named and self._drift.log_odds > self._sudden
+        is_drift = self._drift.is_named and self._drift.log_odds > self._instead
         self._has_drifted |= is_drift and self._is_usable(self.solution)
         if self._has_drifted:
             checks.accuse_lasting(StandingFault.ACCEL_DRIFT, block)

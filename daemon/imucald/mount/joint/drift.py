@@ -71,7 +71,8 @@ NAMED = 0.2
 deviation.
 """
 _LOG_STEPS = math.log(FALSE_ALARM_H * 3600.0 / (STEPS * STEP_S))
-_LOG_ONSETS = _LOG_STEPS - math.log(ONSET_BLOCKS)
+LOG_ONSETS = _LOG_STEPS - math.log(ONSET_BLOCKS)
+"""Log of the number of onsets of a drift in which one false alarm may come."""
 NEVER = 700.0
 """Log odds against the impossible: the exponential of this number does not overflow."""
 _ONE, _AXES = np.eye(3), np.arange(3)
@@ -288,7 +289,7 @@ class ZeroDrift:
         log -= 0.5 * np.log(np.linalg.det(information * variance))
         share = np.exp(log - log.max(axis=1, keepdims=True))
         total = share.sum(axis=1)
-        odds = log.max(axis=1) + np.log(total) - _LOG_ONSETS
+        odds = log.max(axis=1) + np.log(total) - LOG_ONSETS
         usual, of_drift = share / total[:, None]
         sizes = self._before + rate * since[:, None]
         each = covariance * np.square(since)[:, None, None] + _squares(sizes)
@@ -346,7 +347,7 @@ class ZeroDrift:
         self._ramps.information[0] = information - _ONE / prior
         self._ramps.score[0] = information @ past.rate
         known = 0.5 * (past.rate @ self._ramps.score[0] - np.linalg.slogdet(information * prior)[1])
-        self._log[:, 0] = -NEVER, past.log_odds + _LOG_ONSETS - known
+        self._log[:, 0] = -NEVER, past.log_odds + LOG_ONSETS - known
         self._before[0] = past.size
 
     # the filter ----------------------------------------------------------------------------------

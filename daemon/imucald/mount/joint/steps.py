@@ -24,6 +24,7 @@ from imucald.core.samples import GRAVITY
 
 UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
 ZERO, ANSWER = slice(9, 12), slice(12, 24)
+UPWARD = slice(ZERO.stop - 1, ZERO.stop)
 STATES = 24
 """The state of the filter, see `drift`."""
 MOST_ONSETS = 10
@@ -43,8 +44,8 @@ TURNED_STD, ZERO_STD = 0.1, 0.5
 by hand are by some degrees; a step is a fault from some tens of mg on.
 """
 SECOND_ORDER = 0.05
-"""Prior deviation of the change of the upward force by a turn [m/s^2], about its second order
--g (phi_x^2 + phi_y^2) / 2: the slope of the road adds to it.
+"""Prior deviation of the change of the upward force by a turn or grade [m/s^2], about its second
+order -g (x^2 + y^2) / 2: the slope before adds to it.
 """
 
 
@@ -59,7 +60,7 @@ def _turned(is_felt: bool) -> Array:
     dvdt, vr = (slice(ANSWER.start + i, ANSWER.stop, 4) for i in range(2))
     made[dvdt, 1:3] = [[0.0, 0.0], [0.0, -1.0], [1.0, 0.0]]
     made[vr, 2] = [1.0, 0.0, 0.0]  # in z, -v q of the turned gyroscope adds phi_x v r again
-    made[ZERO.stop - 1, 3] = 1.0
+    made[UPWARD, 3] = 1.0
     return made
 
 
@@ -71,25 +72,31 @@ def _unit(part: slice) -> Array:
 class ChangeHypothesis(NamedTuple):
     """A change. columns: its unknowns among those of an onset. std: their prior deviations.
 
-    chance: of this change, if there is one. is_turn: the sensor turns.
+    chance: of this change, if there is one. tilts: the first two unknowns tilt the vertical, and
+    the last one is the second order of that.
     """
 
     columns: slice
     std: Array
     chance: float
-    is_turn: bool = False
+    tilts: bool = True
 
 
 TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
-NOT_FELT: Final = ChangeHypothesis(slice(0, 4), TURNED_STDS, 0.25, is_turn=True)
-FELT: Final = ChangeHypothesis(slice(4, 8), TURNED_STDS, 0.25, is_turn=True)
-STEPPED: Final = ChangeHypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5)
-GRADE: Final = ChangeHypothesis(slice(11, 13), np.array([0.05, 0.03]), 1.0)
+NOT_FELT: Final = ChangeHypothesis(slice(0, 4), TURNED_STDS, 0.25)
+FELT: Final = ChangeHypothesis(slice(4, 8), TURNED_STDS, 0.25)
+STEPPED: Final = ChangeHypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5, tilts=False)
+GRADE: Final = ChangeHypothesis(slice(11, 14), np.array([0.05, 0.03, SECOND_ORDER]), 1.0)
 """A long grade or bank, which changes the mean vertical of the road alone: 10 % is a steep mountain
 road, 6 % a steep superelevation (two deviations).
 """
-EFFECT: Final = np.hstack([_turned(is_felt=False), _turned(is_felt=True), _unit(ZERO), _unit(TILT)])
-"""Effect of all unknowns of an onset on the state (STATES, 13)."""
+EFFECT: Final = np.hstack(
+    [
+        *(_turned(is_felt) for is_felt in (False, True)),
+        *(_unit(part) for part in (ZERO, TILT, UPWARD)),
+    ]
+)
+"""Effect of all unknowns of an onset on the state (STATES, 14)."""
 
 
 class SuddenChange(NamedTuple):
@@ -98,6 +105,7 @@ class SuddenChange(NamedTuple):
     is_turn: the sensor was turned; otherwise, a zero stepped. size: (3,) rotation vector of the
     sensor [rad] or change of the zero [m/s^2], working axes. covariance: (3, 3) of it. log_odds:
     log of the statistic of any sudden change over its threshold, and over that of a long grade.
+    grade: log of the statistic of a long grade.
     ahead: log of the odds against the other cause. onset: place of the onset. blocks: number of
     blocks since the onset. level: upward force before it [m/s^2].
     """
@@ -106,6 +114,7 @@ class SuddenChange(NamedTuple):
     size: Array
     covariance: Array
     log_odds: float
+    grade: float
     ahead: float
     onset: int
     blocks: int
@@ -179,13 +188,13 @@ class _Fit(NamedTuple):
 
 
 def _fitted(onsets: Onsets, one: ChangeHypothesis) -> _Fit:
-    """Fit a hypothesis. A turn is fitted twice, the second time with its second order."""
+    """Fit a hypothesis. A tilt is fitted twice, the second time with its second order."""
     weight = one.std**-2
     known = onsets.information[:, one.columns, one.columns] + np.diag(weight)
     score, expected = onsets.score[:, one.columns], np.zeros((len(known), len(weight)))
     size = solved(known, score[:, :, None])[..., 0]
-    if one.is_turn:
-        expected[:, 3] = -0.5 * GRAVITY * np.square(size[:, :2]).sum(axis=1)
+    if one.tilts:
+        expected[:, -1] = -0.5 * GRAVITY * np.square(size[:, :2]).sum(axis=1)
         score = score + weight * expected
         size = solved(known, score[:, :, None])[..., 0]
     log = 0.5 * ((size * score).sum(axis=1) - np.square(expected) @ weight)
@@ -202,7 +211,7 @@ def likeliest_step(
     fits = [_fitted(onsets, one) for one in (NOT_FELT, FELT, STEPPED, GRADE)]
     logs = [fit.log for fit in fits]
     turned, stepped = np.logaddexp.reduce([*logs[0], *logs[1]]), np.logaddexp.reduce(logs[2])
-    no_change = np.logaddexp(log_onsets, np.logaddexp.reduce(logs[3]))
+    grade = np.logaddexp.reduce(logs[3])
     is_turn = bool(turned > stepped)
     which = 2 if not is_turn else int(logs[1].max() > logs[0].max())
     k = int(logs[which].argmax())
@@ -210,7 +219,8 @@ def likeliest_step(
         is_turn,
         fits[which].size[k, :3],
         np.linalg.inv(fits[which].information[k])[:3, :3],
-        float(np.logaddexp(turned, stepped) - no_change),
+        float(np.logaddexp(turned, stepped) - np.logaddexp(log_onsets, grade)),
+        float(grade),
         float(abs(turned - stepped)),
         k,
         round((now - float(onsets.began[k])) / a_block),
