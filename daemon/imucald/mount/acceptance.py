@@ -30,8 +30,8 @@ TURNED_SIDES = (
 """Text for a signal that distinguishes left from right, but has its sign inverted by the
 configuration."""
 WHY_GRAVITY_MOVED = (
-    "more bends: gravity has another direction in the sensor. Bends show whether the sensor "
-    "was turned or the zero of its accelerometer has changed"
+    "more bends: the accelerometer shows a sudden change. Bends show whether the sensor was turned "
+    "or the zero of its accelerometer has changed"
 )
 SIGNS = "check of the signs"
 NO_SPEED = "a speed: without one, a turn of the sensor would not be noticed"

@@ -82,6 +82,10 @@ from imucald.mount.steering import SteeringOffsetEstimator
 
 KEPT_BLOCKS = 55
 """Blocks that are stored: 350 s."""
+OPEN_BLOCKS = 20
+"""Blocks (2 min) after which new evidence answers what a sudden change was: the filter has taken it
+up by then.
+"""
 FAILED_BLOCKS = 14
 """Numbers out of range stay reported as a fault for this many blocks after the last of them (90 s).
 """
@@ -132,6 +136,7 @@ class JointEstimator:
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
         self._stepped = np.zeros(3)  # change of the zero in this drive, sensor axes [m/s^2]
+        self._bias_before = np.zeros(3)  # zero before any change
         self._level: LevelChange | None = None
         self._is_gravity_open, self._sudden = False, -math.inf  # log odds of a sudden change
         self._instead = -math.inf  # log odds of what else may be in place of a drift
@@ -465,7 +470,7 @@ class JointEstimator:
     def _sudden_change(self) -> SuddenTurn | None:
         """Return a sudden turn of the sensor that is certain; begin again after a step of a zero.
 
-        A question that stays open is answered by new evidence once enough blocks are stored.
+        A question that stays open is answered by new evidence.
         """
         evidence, self._is_gravity_open = self._watched, False
         self._sudden = self._instead = -math.inf
@@ -476,16 +481,18 @@ class JointEstimator:
         if not step.is_certain:
             return None
         turn = SuddenTurn.from_change(step)
-        if abs(turn.size) < (ALERT_LIMIT if step.is_turn else NAMED / GRAVITY):
+        if float(np.linalg.norm(step.size)) < (ALERT_LIMIT if step.is_turn else NAMED):
             return None
         self._sudden = step.log_odds
         self._instead = max(self._instead, self._sudden)
         if step.is_decided and step.is_turn:
             return turn
-        if not step.is_decided and step.blocks <= KEPT_BLOCKS:
-            self._is_gravity_open = not self._changes.is_bearable(turn, max(self._misleading()))
+        if not step.is_decided and step.blocks <= OPEN_BLOCKS:
+            self._is_gravity_open = True
             return None
         if step.is_decided:
+            if not self._stepped.any():
+                self._bias_before = self._joint.bias
             self._stepped += inverse(evidence.watch_axes) @ step.size
             self._level = LevelChange(step.level, step.level + float(step.size[2]))
         else:
@@ -619,12 +626,14 @@ class JointEstimator:
 
     def _stepped_zeros(self) -> Iterator[StandingFault]:
         """Yield the faults of an accelerometer whose zero has stepped along or across the vertical,
-        and not back.
+        and not back. New evidence knows the level zero better than the step.
         """
         R = self._carried.R
         if R is None or not self._stepped.any():
             return
         x, y, z = (R @ self._stepped).tolist()
+        if self._is_usable(self.solution):
+            x, y, _ = (R @ (self._joint.bias - self._bias_before)).tolist()
         if abs(z) > NAMED:
             yield StandingFault.ACCEL_LEVEL
         if math.hypot(x, y) > NAMED:

@@ -204,13 +204,15 @@ NO_ROWS: Array = np.zeros((0, 6))
 class LargeChange(Struct, frozen=True):
     """axis: 0 roll, 1 pitch, 2 yaw.
 
-    Also the size [rad], the size in standard deviations, and the blocks since.
+    Also the size [rad], the size in standard deviations, and the blocks since. is_felt: the
+    gyroscope has turned by at least half of it.
     """
 
     axis: int
     size: float
     deviations: float
     blocks: int
+    is_felt: bool = False
 
 
 class LargeChangeDetector:
@@ -233,7 +235,7 @@ class LargeChangeDetector:
     def _forget_standing(self) -> None:
         """Forget the stop, because the vehicle has moved or may have moved."""
         self._stopped_at: tuple[Array, Array] | None = None  # mean force (3,), its variance (3, 3)
-        self._turned = np.zeros(3)
+        self._turned, self._felt = np.zeros(3), np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
 
     def take_block(
@@ -379,8 +381,10 @@ class LargeChangeDetector:
         before, variance = self._stopped_at
         window = force[-REST_WINDOW:]
         now, own_variance = _mean_force(window)
-        turned = R @ self._turned
+        self._felt += rate.sum(axis=0) * TICK_S
+        turned, felt = R @ self._turned, R @ self._felt
         self._turned *= 0.5  # a bias adds up, a turn is quick
+        self._felt *= 0.5
         e = np.append(_tilt(before, now, R)[:YAW], turned[YAW])
         noise = np.sqrt(np.diag(R @ (variance + own_variance) @ R.T)[[1, 0]])
         limits = np.full(3, STANDING_TURN)
@@ -392,8 +396,9 @@ class LargeChangeDetector:
             return None
         if axis != YAW:  # where it has come to by now
             e = _tilt(before, force[-STANDING_TICKS:].mean(axis=0), R)
-        self._stopped_at, self._turned = None, np.zeros(3)
-        return LargeChange(axis, float(e[axis]), float(e[axis] / limits[axis]) * DEVIATIONS, 1)
+        self._stopped_at, self._turned, self._felt = None, np.zeros(3), np.zeros(3)
+        size, is_felt = float(e[axis]), abs(felt[axis] - e[axis]) < 0.5 * abs(e[axis])
+        return LargeChange(axis, size, size / float(limits[axis]) * DEVIATIONS, 1, bool(is_felt))
 
 
 def _tilt(before: Array, now: Array, R: Matrix3) -> Array:

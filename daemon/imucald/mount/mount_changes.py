@@ -41,11 +41,14 @@ class SuddenTurn(Struct, frozen=True):
 
     @classmethod
     def from_change(cls, step: SuddenChange) -> SuddenTurn:
-        """Return the rotation of a step, or that by which gravity seems to turn with a zero."""
-        angles = step.size if step.is_turn else step.size / GRAVITY
+        """Return the rotation of a step, or the one that moves gravity as a zero does."""
+        angles, covariance = step.size, step.covariance
+        if not step.is_turn:
+            T = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / GRAVITY
+            angles, covariance = T @ angles, T @ covariance @ T.T
         axis = int(np.abs(angles).argmax())
-        size, std = float(angles[axis]), math.sqrt(step.covariance[axis, axis])
-        return cls(axis, size, float(step.size[axis]) / std, step.blocks, angles)
+        size, std = float(angles[axis]), math.sqrt(covariance[axis, axis])
+        return cls(axis, size, size / std, step.blocks, angles)
 
 
 MountChange = SuddenTurn | LargeChange | Move
@@ -218,8 +221,10 @@ class MountChanges:
 
 
 def _may_be_zero(found: LargeChange | None) -> bool:
-    """True if a rotation may be a step of a zero."""
-    return found is not None and found.axis < 2 and abs(found.size) < MOST_TILT
+    """True if a rotation may be a step of a zero, which turns no gyroscope."""
+    return (
+        found is not None and found.axis < 2 and not found.is_felt and abs(found.size) < MOST_TILT
+    )
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:

@@ -350,7 +350,7 @@ class Evidence:
         return self._found_drift
 
     def sudden_change(self) -> SuddenChange | None:
-        """Return the most likely sudden change in the last minute.
+        """Return the most likely sudden change in the last minute, or since an open one began.
 
         Returns None if no filter tests for one, or before it has taken all blocks.
         """

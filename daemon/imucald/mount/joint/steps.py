@@ -8,8 +8,8 @@ onset has its likelihood ratio in closed form (Willsky and Jones, IEEE Trans. Au
 A turn of the sensor by a small rotation phi moves the vertical, its mean (u x phi) and the response
 to motion (f x phi). The gyroscope has felt the turn, and carried the vertical with it, or has not.
 A step of a zero moves the force alone. Bends tell both apart: the vertical of a turned sensor goes
-on about the axis that its gyroscope shows. A long grade moves the mean vertical alone and is no
-fault. What it explains as well makes no change certain.
+on about the axis that its gyroscope shows. A long grade moves the mean vertical and is no fault.
+What it explains as well makes no change certain.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class SuddenChange(NamedTuple):
     log of the statistic of any sudden change over its threshold, and over that of a long grade.
     grade: log of the statistic of a long grade.
     ahead: log of the odds against the other cause. onset: place of the onset. blocks: number of
-    blocks since the onset. level: upward force before it [m/s^2].
+    blocks since the onset. level: upward force of the filter, about that before it [m/s^2].
     """
 
     is_turn: bool
