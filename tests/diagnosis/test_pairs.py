@@ -102,7 +102,7 @@ def shaken(s, R):
 @pytest.mark.parametrize(
     ("put", "signal", "what"),
     [(after_effect, "accel", ("the last acceleration", "accelerating")),
-     (outer_wheel, "speed", ("side at which",)),
+     (outer_wheel, "speed", ("sideways position",)),
      (shaken, "accel", ("shaking",)),
      (uneven_gain, "gyro", ("the direction of turning", "the amount of turning")),
      (late_when_it_pulls, "speed", ("accelerating", "acceleration")),
