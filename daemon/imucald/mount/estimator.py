@@ -8,10 +8,10 @@ with a flag that says whether it is usable (`motion.signal_health`).
 3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
    the search start again.
 4. `Evidence` takes the block and, when enough has come, solves for all unknowns (`joint.state`).
-5. `joint.steps`, `joint.moves` and `MountChanges` compare the block with what was known before it.
-   If the sensor was moved, the mount becomes suspect and the evidence begins again with the data
-   after the move. If the move misleads no consumer, it is reported, and the deviation covers it
-   until the evidence after it is enough.
+5. `joint.sudden_changes`, `joint.moves` and `MountChanges` compare the block with what was known
+   before it. If the sensor was moved, the mount becomes suspect and the evidence begins again with
+   the data after the move. If the move misleads no consumer, it is reported, and the deviation
+   covers it until the evidence after it is enough.
 6. `ServedMount` gives the state, with hysteresis, and follows a good correction without a jump.
    `MountEstimate` reports all of it, and what each angle waits for.
 
@@ -57,7 +57,7 @@ from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
-from imucald.mount.joint.steps import TURNED_STD
+from imucald.mount.joint.sudden_changes import TURNED_STD
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import (
     ALERT_LIMIT,
@@ -138,7 +138,7 @@ class JointEstimator:
         self._stepped = np.zeros(3)  # change of the zero in this drive, sensor axes [m/s^2]
         self._bias_before = np.zeros(3)  # zero before any change
         self._level: LevelChange | None = None
-        self._is_gravity_open, self._sudden = False, -math.inf  # log odds of a sudden change
+        self._is_gravity_open = False  # something has changed, and it is not known what
         self._instead = -math.inf  # log odds of what else may be in place of a drift
         self._lately: deque[tuple[int, ...]] = deque(maxlen=MINUTE_BLOCKS)
         self._off_vertical = self._failed_for = 0
@@ -329,7 +329,7 @@ class JointEstimator:
         self._follow_creep()
         if not self._look_for_large_change(p, turned, is_watched):
             change: MountChange | None = self._sudden_change()
-            if change is None and self._sudden <= 0.0 and not self._checks.is_motion_accused:
+            if change is None and not (self._is_gravity_open or self._checks.is_motion_accused):
                 change = self._small_change()
             if change is not None:
                 self._take_change(change)
@@ -352,7 +352,9 @@ class JointEstimator:
         if target is not self._joint and not self._joint.signals.speed:  # the speed may stay away
             self._joint.add_block(_block(p, self._joint.signals))
             _is_solved(self._joint)
-        if self._sudden > 0.0:  # a solution would mix what was before the change with what is after
+        if (
+            self._is_gravity_open
+        ):  # a solution would mix what was before the change with what is after
             return
         if not _is_solved(target):
             self._fits_no_sensor, self._carried.is_sure = True, False
@@ -472,35 +474,31 @@ class JointEstimator:
 
         A question that stays open is answered by new evidence.
         """
-        evidence, self._is_gravity_open = self._watched, False
-        self._sudden = self._instead = -math.inf
-        step = None if evidence is None else evidence.sudden_change()
-        if evidence is None or step is None:
+        evidence, self._is_gravity_open, self._instead = self._watched, False, -math.inf
+        found = None if evidence is None else evidence.sudden_change()
+        if evidence is None or found is None:
             return None
-        self._instead = step.grade - LOG_ONSETS
-        if not step.is_certain:
+        self._instead = found.grade - LOG_ONSETS
+        least = ALERT_LIMIT if found.is_turn else NAMED
+        if not found.is_certain or float(np.linalg.norm(found.size)) < least:
             return None
-        turn = SuddenTurn.from_change(step)
-        if float(np.linalg.norm(step.size)) < (ALERT_LIMIT if step.is_turn else NAMED):
-            return None
-        self._sudden = step.log_odds
-        self._instead = max(self._instead, self._sudden)
-        if step.is_decided and step.is_turn:
-            return turn
-        if not step.is_decided and step.blocks <= OPEN_BLOCKS:
+        self._instead = max(self._instead, found.log_odds)
+        if not found.is_decided and found.blocks <= OPEN_BLOCKS:
             self._is_gravity_open = True
             return None
-        if step.is_decided:
-            if not self._stepped.any():
-                self._bias_before = self._joint.bias
-            self._stepped += inverse(evidence.watch_axes) @ step.size
-            self._level = LevelChange(step.level, step.level + float(step.size[2]))
-        else:
+        if not found.is_decided:
             self._served.has_moved = True
             self._changes.restart()
+        elif found.is_turn:
+            return SuddenTurn.from_change(found)
+        else:
+            if not self._stepped.any():
+                self._bias_before = self._joint.bias
+            self._stepped += inverse(evidence.watch_axes) @ found.size
+            self._level = LevelChange(found.level, found.level + float(found.size[2]))
         self._lately_known.clear()
         self._known_before = None  # of another zero
-        self._begin_again(blocks_since(turn, self._kept))
+        self._begin_again(blocks_since(found, self._kept))
         return None
 
     def _small_change(self) -> Move | None:
@@ -578,7 +576,7 @@ class JointEstimator:
 
     def _begin_again(self, blocks: list[SignalBlock], since: int = 0) -> None:
         self._joint, self._next, self._drift = self._filled(blocks, since), None, NO_DRIFT
-        self._is_gravity_open, self._sudden = False, -math.inf
+        self._is_gravity_open = False
         self._forget_moves()
 
     def _began(self, blocks: list[SignalBlock], since: int) -> float:

@@ -1,8 +1,9 @@
 """Detection of a moved sensor. All tests for a move and the changes found in this drive are here.
 
-`joint.steps` sees a sudden rotation. Where its filter does not run (before the mount is usable, or
-without a gyroscope), `large_change` sees a rotation by several degrees in single blocks.
-`joint.moves` sees a small move once enough road has been driven. `creep` sees a slow one.
+`joint.sudden_changes` sees a sudden rotation. `large_change` sees a yaw by several degrees in
+single blocks, and a tilt where that filter does not run: without a gyroscope or a speed, or before
+it has a solution. `joint.moves` sees a small move once enough road has been driven. `creep` sees a
+slow one.
 """
 
 from __future__ import annotations
@@ -15,12 +16,11 @@ from msgspec import Struct
 
 from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, vector_from_rotation
-from imucald.core.samples import GRAVITY
 from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.joint.moves import Move
-from imucald.mount.joint.steps import SuddenChange
+from imucald.mount.joint.sudden_changes import SuddenChange
 from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 
@@ -40,15 +40,11 @@ class SuddenTurn(Struct, frozen=True):
     turn: Array
 
     @classmethod
-    def from_change(cls, step: SuddenChange) -> SuddenTurn:
-        """Return the rotation of a step, or the one that moves gravity as a zero does."""
-        angles, covariance = step.size, step.covariance
-        if not step.is_turn:
-            T = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / GRAVITY
-            angles, covariance = T @ angles, T @ covariance @ T.T
-        axis = int(np.abs(angles).argmax())
-        size, std = float(angles[axis]), math.sqrt(covariance[axis, axis])
-        return cls(axis, size, size / std, step.blocks, angles)
+    def from_change(cls, change: SuddenChange) -> SuddenTurn:
+        """Return the rotation of a change that is a turn."""
+        axis = int(np.abs(change.size).argmax())
+        size, std = float(change.size[axis]), math.sqrt(change.covariance[axis, axis])
+        return cls(axis, size, size / std, change.blocks, change.size)
 
 
 MountChange = SuddenTurn | LargeChange | Move
@@ -147,7 +143,7 @@ class MountChanges:
     def large(self, carried: CarriedForce, is_watched: bool) -> LargeChange | None:
         """Return a rotation by several degrees within the last blocks.
 
-        is_watched: the filter of `joint.steps` runs, which tells a tilt from a step of a zero.
+        is_watched: the filter of `joint.sudden_changes` tells a tilt from a step of a zero.
         """
         found = self._large.found(with_yaw=carried.own_gyro)
         return None if is_watched and _may_be_zero(found) else found
@@ -227,7 +223,9 @@ def _may_be_zero(found: LargeChange | None) -> bool:
     )
 
 
-def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:
+def blocks_since(
+    change: MountChange | SuddenChange, kept: Sequence[SignalBlock]
+) -> list[SignalBlock]:
     """Return the stored blocks after a change."""
     after = change.blocks if isinstance(change, Move) else change.blocks - 1  # one may hold it
     return list(kept)[max(len(kept) - after, 0) :]

@@ -39,7 +39,7 @@ from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
 from imucald.mount.joint.state import SLOPE, SLOPE_M
-from imucald.mount.joint.steps import (
+from imucald.mount.joint.sudden_changes import (
     ANSWER,
     EFFECT,
     GYRO,
@@ -51,7 +51,7 @@ from imucald.mount.joint.steps import (
     ZERO,
     Onsets,
     SuddenChange,
-    likeliest_step,
+    likeliest_change,
 )
 
 Complex = NDArray[np.complex128]
@@ -70,8 +70,8 @@ NAMED = 0.2
 """A drift is reported as a fault from this size on [m/s^2]; a smaller one only widens the
 deviation.
 """
-_LOG_STEPS = math.log(FALSE_ALARM_H * 3600.0 / (STEPS * STEP_S))
-LOG_ONSETS = _LOG_STEPS - math.log(ONSET_BLOCKS)
+_LOG_BLOCKS = math.log(FALSE_ALARM_H * 3600.0 / (STEPS * STEP_S))
+LOG_ONSETS = _LOG_BLOCKS - math.log(ONSET_BLOCKS)
 """Log of the number of onsets of a drift in which one false alarm may come."""
 NEVER = 700.0
 """Log odds against the impossible: the exponential of this number does not overflow."""
@@ -223,7 +223,7 @@ class ZeroDrift:
         self._taken: Array | None = None
         self._steps = self._blocks = 0
         self._ramps, self._sudden = Onsets(3), Onsets(EFFECT.shape[1])
-        self._kept: int | None = None
+        self._kept = math.nan  # onset of a sudden change whose cause is open
         self._log = np.zeros((2, 0))
         self._before = np.zeros((0, 3))
 
@@ -250,7 +250,7 @@ class ZeroDrift:
         """
         if self._blocks % ONSET_BLOCKS == 0:
             self._begin_ramp()
-        self._begin_step()
+        self._sudden.begin(self._steps, EFFECT, MOST_ONSETS, self._kept)
         self._blocks += 1
         if self._taken is not None:
             self._mean[RATE_ZERO] -= rate_zero - self._taken
@@ -322,18 +322,13 @@ class ZeroDrift:
         if not len(self._sudden.began):
             return None
         level = GRAVITY + float(self._mean[ZERO][2])
-        found = likeliest_step(self._sudden, self._steps, STEPS, _LOG_STEPS, level)
+        found = likeliest_change(self._sudden, self._steps, STEPS, _LOG_BLOCKS, level)
         is_open = found.is_certain and not found.is_decided
-        self._kept = found.onset if is_open else None
+        self._kept = found.began if is_open else math.nan
         return found
 
-    def _begin_step(self) -> None:
-        gone = self._sudden.begin(self._steps, EFFECT, MOST_ONSETS, self._kept)
-        if gone is not None and self._kept is not None and gone < self._kept:
-            self._kept -= 1
-
     def _begin_ramp(self) -> None:
-        if self._ramps.begin(self._steps, np.zeros((STATES, 3)), ONSETS) is not None:
+        if self._ramps.begin(self._steps, np.zeros((STATES, 3)), ONSETS):
             self._log, self._before = self._log[:, 1:], self._before[1:]
         self._log = np.hstack([self._log, np.zeros((2, 1))])
         self._before = np.concatenate([self._before, np.zeros((1, 3))])

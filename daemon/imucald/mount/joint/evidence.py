@@ -71,7 +71,7 @@ from imucald.mount.joint.state import (
     sent_variance,
     zero_row,
 )
-from imucald.mount.joint.steps import SuddenChange
+from imucald.mount.joint.sudden_changes import SuddenChange
 from imucald.mount.joint.sums import Fits, WindowSums
 
 Complex = NDArray[np.complex128]

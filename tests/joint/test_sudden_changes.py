@@ -9,7 +9,7 @@ from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.mount.joint.evidence import Block, Evidence
 from imucald.mount.joint.state import Priors
-from imucald.mount.joint.steps import SuddenChange
+from imucald.mount.joint.sudden_changes import SuddenChange
 from joint.planar_drive import ROTATION, Array, Sensor, blocks
 
 LEVEL_ROADS = Priors(crown=(0.0, 0.002), slope=0.002)

@@ -70,33 +70,31 @@ def _unit(part: slice) -> Array:
 
 
 class ChangeHypothesis(NamedTuple):
-    """A change. columns: its unknowns among those of an onset. std: their prior deviations.
+    """A change with k unknowns. effect: (STATES, k) on the state. std: (k,) prior deviations.
 
     chance: of this change, if there is one. tilts: the first two unknowns tilt the vertical, and
     the last one is the second order of that.
     """
 
-    columns: slice
+    effect: Array
     std: Array
     chance: float
     tilts: bool = True
 
 
-TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
-NOT_FELT: Final = ChangeHypothesis(slice(0, 4), TURNED_STDS, 0.25)
-FELT: Final = ChangeHypothesis(slice(4, 8), TURNED_STDS, 0.25)
-STEPPED: Final = ChangeHypothesis(slice(8, 11), np.full(3, ZERO_STD), 0.5, tilts=False)
-GRADE: Final = ChangeHypothesis(slice(11, 14), np.array([0.05, 0.03, SECOND_ORDER]), 1.0)
-"""A long grade or bank, which changes the mean vertical of the road alone: 10 % is a steep mountain
-road, 6 % a steep superelevation (two deviations).
-"""
-EFFECT: Final = np.hstack(
-    [
-        *(_turned(is_felt) for is_felt in (False, True)),
-        *(_unit(part) for part in (ZERO, TILT, UPWARD)),
-    ]
+_TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
+NOT_FELT: Final = ChangeHypothesis(_turned(is_felt=False), _TURNED_STDS, 0.25)
+FELT: Final = ChangeHypothesis(_turned(is_felt=True), _TURNED_STDS, 0.25)
+STEPPED: Final = ChangeHypothesis(_unit(ZERO), np.full(3, ZERO_STD), 0.5, tilts=False)
+GRADE: Final = ChangeHypothesis(
+    np.hstack([_unit(TILT), _unit(UPWARD)]), np.array([0.05, 0.03, SECOND_ORDER]), 1.0
 )
-"""Effect of all unknowns of an onset on the state (STATES, 14)."""
+"""A long grade or bank of the road: 10 % is a steep mountain road, 6 % a steep superelevation (two
+deviations).
+"""
+HYPOTHESES: Final = (NOT_FELT, FELT, STEPPED, GRADE)
+EFFECT: Final = np.hstack([one.effect for one in HYPOTHESES])
+"""Effect of the unknowns of all hypotheses at an onset (STATES, 14)."""
 
 
 class SuddenChange(NamedTuple):
@@ -105,9 +103,9 @@ class SuddenChange(NamedTuple):
     is_turn: the sensor was turned; otherwise, a zero stepped. size: (3,) rotation vector of the
     sensor [rad] or change of the zero [m/s^2], working axes. covariance: (3, 3) of it. log_odds:
     log of the statistic of any sudden change over its threshold, and over that of a long grade.
-    grade: log of the statistic of a long grade.
-    ahead: log of the odds against the other cause. onset: place of the onset. blocks: number of
-    blocks since the onset. level: upward force of the filter, about that before it [m/s^2].
+    grade: log of the statistic of a long grade. ahead: log of the odds against the other cause.
+    began: time of the onset. blocks: number of blocks since then. level: upward force of the
+    filter, about that before it [m/s^2].
     """
 
     is_turn: bool
@@ -116,7 +114,7 @@ class SuddenChange(NamedTuple):
     log_odds: float
     grade: float
     ahead: float
-    onset: int
+    began: float
     blocks: int
     level: float
 
@@ -145,15 +143,15 @@ class Onsets:
         self.shift = np.zeros((STATES, 0))
         self.information, self.score = np.zeros((0, k, k)), np.zeros((0, k))
 
-    def begin(self, t: float, effect: Array, most: int, kept: int | None = None) -> int | None:
+    def begin(self, t: float, effect: Array, most: int, kept: float = math.nan) -> bool:
         """Begin an onset at t with an effect (STATES, k) that the filter does not know of.
 
-        most: number of onsets; the oldest one but `kept` goes. Returns the place of the one that
-        has gone.
+        most: number of onsets. Of more, the oldest one goes, or the next one if the oldest began at
+        `kept`. Returns whether one has gone.
         """
-        k, gone = self._unknowns, None
-        if len(self.began) == most:
-            gone = 1 if kept == 0 else 0
+        k, is_full = self._unknowns, len(self.began) == most
+        if is_full:
+            gone = int(self.began[0] == kept)
             self.began = np.delete(self.began, gone)
             self.shift = np.delete(self.shift, slice(gone * k, (gone + 1) * k), axis=1)
             self.information = np.delete(self.information, gone, axis=0)
@@ -162,7 +160,7 @@ class Onsets:
         self.shift = np.hstack([self.shift, -effect])
         self.information = np.concatenate([self.information, np.zeros((1, k, k))])
         self.score = np.concatenate([self.score, np.zeros((1, k))])
-        return gone
+        return is_full
 
     def add_answers(self, answers: Array, both: Array) -> None:
         """Take the whitened answers (m, n k) of m innovations to the unknowns.
@@ -187,11 +185,13 @@ class _Fit(NamedTuple):
     information: Array
 
 
-def _fitted(onsets: Onsets, one: ChangeHypothesis) -> _Fit:
-    """Fit a hypothesis. A tilt is fitted twice, the second time with its second order."""
+def _fitted(onsets: Onsets, one: ChangeHypothesis, columns: slice) -> _Fit:
+    """Fit a hypothesis, whose unknowns are these of an onset. A tilt is fitted twice, the second
+    time with its second order.
+    """
     weight = one.std**-2
-    known = onsets.information[:, one.columns, one.columns] + np.diag(weight)
-    score, expected = onsets.score[:, one.columns], np.zeros((len(known), len(weight)))
+    known = onsets.information[:, columns, columns] + np.diag(weight)
+    score, expected = onsets.score[:, columns], np.zeros((len(known), len(weight)))
     size = solved(known, score[:, :, None])[..., 0]
     if one.tilts:
         expected[:, -1] = -0.5 * GRAVITY * np.square(size[:, :2]).sum(axis=1)
@@ -202,13 +202,19 @@ def _fitted(onsets: Onsets, one: ChangeHypothesis) -> _Fit:
     return _Fit(log, size, known)
 
 
-def likeliest_step(
+def likeliest_change(
     onsets: Onsets, now: float, a_block: float, log_onsets: float, level: float
 ) -> SuddenChange:
-    """Return the most likely step. now, a_block: in the unit of the onsets' times. log_onsets: log
-    of the number of onsets in which one false alarm may come. level: upward force so far [m/s^2].
+    """Return the most likely change.
+
+    now, a_block: in the unit of the onsets' times. log_onsets: log of the number of onsets in which
+    one false alarm may come. level: upward force so far [m/s^2].
     """
-    fits = [_fitted(onsets, one) for one in (NOT_FELT, FELT, STEPPED, GRADE)]
+    fits, first = [], 0
+    for one in HYPOTHESES:
+        end = first + len(one.std)
+        fits.append(_fitted(onsets, one, slice(first, end)))
+        first = end
     logs = [fit.log for fit in fits]
     turned, stepped = np.logaddexp.reduce([*logs[0], *logs[1]]), np.logaddexp.reduce(logs[2])
     grade = np.logaddexp.reduce(logs[3])
@@ -222,7 +228,7 @@ def likeliest_step(
         float(np.logaddexp(turned, stepped) - np.logaddexp(log_onsets, grade)),
         float(grade),
         float(abs(turned - stepped)),
-        k,
+        float(onsets.began[k]),
         round((now - float(onsets.began[k])) / a_block),
         level,
     )
