@@ -13,6 +13,8 @@ FIRST_SEED = 400_000
 
 TUNING_SEEDS = (
     range(0, 401),
+    range(2001, 2017),
+    range(3000, 3017),
     range(7200, 7320),
     range(8000, 8480),
     range(8500, 8620),
@@ -46,10 +48,10 @@ TUNING_SEEDS = (
     range(1271000, 1271003),
     range(1300000, 1300006),
     range(1320000, 1320001),
+    range(1330000, 1330017),
     range(1410000, 1410061),
     range(1450038, 1450039),
     range(1450113, 1450114),
-    range(1330000, 1330017),
 )
 
 SHIFTS_AT, SHIFTS_APART, BOUND_AT, LONG_AT, QUIET_AT = 300, 100, 1200, 2000, 3000
