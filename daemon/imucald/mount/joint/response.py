@@ -1,7 +1,8 @@
 """Weighted least squares on the windows of a drive: response of the force to dv/dt and v r.
 
-The noise of each band is learnt, and loud windows get less weight. The deviations come from the
-spread between road segments of two lengths (sandwich; White, Econometrica 48, 1980).
+The noise of each band is learnt for the drive, and its factor for each window: loud windows get
+less weight, and quiet ones more. The deviations come from the spread between road segments of two
+lengths (sandwich; White, Econometrica 48, 1980).
 """
 
 from __future__ import annotations
@@ -16,8 +17,12 @@ from imucald.drive.windows import BAND, BANDS, OVERLAP
 
 SEGMENTS: Final = (4, 16)
 """Windows of a road segment, for both lengths: 26 s and 102 s."""
-HEAVY = 3.0
-"""Ratio of a window's power to its noise from which the window gets less weight."""
+FREEDOM = 8.0
+"""Degrees of freedom of the ratio between a window's noise and the drive's (Student's t).
+
+A fit of this number to the residuals of four simulated drives, two of second_world and three
+measured ones gives 1 to 12: roads and driving differ. Few windows need the larger ones.
+"""
 PASSES, MORE_PASSES = 4, 2
 """Number of iterations of a fit from nothing, and of a fit from the previous solution."""
 NOISE_WINDOWS = 3.0
@@ -75,10 +80,16 @@ class Responses(NamedTuple):
 
 
 def trust_in(left: Array, noise: Array) -> Array:
-    """Return the weight (F, n) of windows with the residual power (F, n, BANDS)."""
-    bins = _BINS[np.isfinite(noise[0])].sum()
-    ratio = (left / noise[:, None]).sum(axis=2) / bins
-    return np.asarray(np.minimum(1.0, HEAVY / np.maximum(ratio, 1e-9)))
+    """Return the weight (F, n) of windows with the residual power (F, n, BANDS): the expected
+    inverse of each window's own noise (Lange, Little and Taylor, JASA 84, 1989).
+    """
+    power = (2.0 / OVERLAP) * (left / noise[:, None]).sum(axis=2)
+    return np.asarray((FREEDOM + _values(np.isfinite(noise[0]))) / (FREEDOM + power))
+
+
+def _values(bands: NDArray[np.bool_]) -> float:
+    """Return the number of independent values of a window in these bands."""
+    return float(2.0 * _BINS[bands].sum() / OVERLAP)
 
 
 def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
@@ -132,7 +143,7 @@ def respond(
     passes = PASSES if trust is None else MORE_PASSES
     trust = np.ones(rows.shape[:2]) if trust is None else trust.copy()
     noise = usual if noise is None else np.where(bands & np.isfinite(noise), noise, usual)
-    values = 2.0 * bins.sum() / OVERLAP
+    values = _values(bands)
     one = np.ones((fits, 1))
     for _ in range(passes):
         weight = (2.0 / OVERLAP) * trust[:, :, None] / noise[:, None]
