@@ -5,13 +5,13 @@ force less motion, in the working axes. In bends a zero turns with the vehicle a
 This difference separates a zero from a slope, and a creeping mount from both. In a drive without
 faults, everything is constant except the vertical and the slow walks of both sensors' zeros:
 
-    left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2) + noise
+    left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2, (v r)^2) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
     u = m + slope, a new slope every `SLOPE_M` metres
 
 u: level part of the vertical (2). z: zero of the rate (3). e: tilt of the gyroscope (2). m: tilt of
 the working axes (2). b: zero of the force (3). B: responses to motion that remain in the axes (3 by
-4).
+5).
 
 A zero that drifts from some time on is a ramp in b, with an unknown rate along an unknown
 direction. The effect of the ramp on the innovations is linear in the rate, so each onset has its
@@ -44,6 +44,7 @@ from imucald.mount.joint.sudden_changes import (
     EFFECT,
     GYRO,
     MOST_ONSETS,
+    MOTIONS,
     RATE_ZERO,
     STATES,
     TILT,
@@ -133,8 +134,16 @@ class Drifts(NamedTuple):
     """Degrees of freedom of a block's noise relative to the estimated noise."""
 
 
-ANSWERS: Final = np.array([[0.03, 0.03, 1.5, 3.0], [0.03, 0.03, 3.0, 1.5], [0.03, 0.03, 0.3, 0.3]])
-"""Prior deviations of B: cross-talk and gains, and the lever arm [m]."""
+ANSWERS: Final = np.array(
+    [
+        [0.03, 0.03, 1.5, 3.0, 0.01],
+        [0.03, 0.03, 3.0, 1.5, 0.01],
+        [0.03, 0.03, 0.3, 0.3, 0.02],
+    ]
+)
+"""Prior deviations of B: cross-talk and gains, the lever arm [m], and the slip and lean of a
+vehicle in bends [s^2/m].
+"""
 LEARNT, LEAST, MOST = 200.0, 0.02, 100.0
 """The noise is learnt over this many means (160 s), and stays within these factors of the usual
 variance.
@@ -369,7 +378,7 @@ class ZeroDrift:
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
     def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
-        """Update the state with the means (n, 8) of the force in the steps `held`.
+        """Update the state with the means (n, 9) of the force in the steps `held`.
 
         Then update the vertical at the end of the last step with the slopes of roads over the
         distance passed, and carry the state over the steps.
@@ -410,15 +419,15 @@ class ZeroDrift:
         their residuals (3 n,).
         """
         x, taken = self._mean, means[held]
-        moved, speed = taken[:, 3:7], taken[:, 7]
+        moved, speed = taken[:, 3 : 3 + MOTIONS], taken[:, 3 + MOTIONS]
         H = np.zeros((len(held), 3, STATES))
         H[:, :2] = GRAVITY * path.slopes[held]
         H[:, :, ZERO] = _ONE
         for i in range(3):
-            H[:, i, ANSWER.start + 4 * i : ANSWER.start + 4 * (i + 1)] = moved
+            H[:, i, ANSWER.start + MOTIONS * i : ANSWER.start + MOTIONS * (i + 1)] = moved
         H[:, 1, 4] -= speed
         H[:, 2, 3] += speed
-        off = taken[:, :3] - x[ZERO] - moved @ x[ANSWER].reshape(3, 4).T
+        off = taken[:, :3] - x[ZERO] - moved @ x[ANSWER].reshape(3, MOTIONS).T
         off[:, :2] -= GRAVITY * path.up[held]
         off[:, 1] += speed * x[4]
         off[:, 2] -= GRAVITY + speed * x[3]
@@ -456,15 +465,13 @@ class ZeroDrift:
 
 
 def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: Array) -> Array:
-    """Return means (STEPS, 8) over the ticks that count: force less motion, dv/dt, v r, dr/dt, r^2,
-    v.
-    """
-    every = np.empty((8, len(r)))
+    """Return means (STEPS, 9) over the ticks that count: force less motion, the motions of B, v."""
+    every = np.empty((4 + MOTIONS, len(r)))
     every[:3], every[3], every[4] = left.T, accel, speed * r
     every[5, 1:-1] = (r[2:] - r[:-2]) * (0.5 / TICK_S)
     every[5, [0, -1]] = every[5, [1, -2]]
-    every[6], every[7] = r * r, speed
-    sums = (every * use).reshape(8, STEPS, STEP).sum(axis=2)
+    every[6], every[7], every[8] = r * r, every[4] ** 2, speed
+    sums = (every * use).reshape(len(every), STEPS, STEP).sum(axis=2)
     return np.asarray((sums / np.maximum(used, 1)).T)
 
 

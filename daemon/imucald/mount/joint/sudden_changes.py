@@ -23,9 +23,11 @@ from imucald.core.arrays import Array, solved
 from imucald.core.samples import GRAVITY
 
 UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
-ZERO, ANSWER = slice(9, 12), slice(12, 24)
+MOTIONS = 5
+"""Motions that the force responds to: dv/dt, v r, dr/dt, r^2, (v r)^2."""
+ZERO, ANSWER = slice(9, 12), slice(12, 12 + 3 * MOTIONS)
 UPWARD = slice(ZERO.stop - 1, ZERO.stop)
-STATES = 24
+STATES = ANSWER.stop
 """The state of the filter, see `drift`."""
 MOST_ONSETS = 10
 """Onsets that are tested: the beginnings of the last blocks (64 s). An open question keeps its
@@ -57,7 +59,7 @@ def _turned(is_felt: bool) -> Array:
     made = np.zeros((STATES, 4))
     for part in (TILT,) if is_felt else (UP, TILT):
         made[part, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    dvdt, vr = (slice(ANSWER.start + i, ANSWER.stop, 4) for i in range(2))
+    dvdt, vr = (slice(ANSWER.start + i, ANSWER.stop, MOTIONS) for i in range(2))
     made[dvdt, 1:3] = [[0.0, 0.0], [0.0, -1.0], [1.0, 0.0]]
     made[vr, 2] = [1.0, 0.0, 0.0]  # in z, -v q of the turned gyroscope adds phi_x v r again
     made[UPWARD, 3] = 1.0
