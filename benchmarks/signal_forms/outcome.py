@@ -24,6 +24,7 @@ from imucald.core.errors import ImucaldError
 from imucald.core.rotations import vector_from_rotation
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import MountState
+from imucald.mount.hysteresis import GOOD
 from imucald.mount.mount_words import is_move
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.runtime.engine import Engine
@@ -45,7 +46,8 @@ class Watch:
 
     base: Base
     bad: dict[str, float] = field(default_factory=dict)
-    """First time of each bad state [s]."""
+    """First time of each bad state [s], and of a mount that was good and then only levelled."""
+    was_good: bool = False
     moves: list[dict[str, Any]] = field(default_factory=list)
     said: dict[str, dict[str, Any]] = field(default_factory=dict)
     learnt: int = 0
@@ -61,6 +63,9 @@ class Watch:
         estimate, t = snapshot.estimate, snapshot.t
         if estimate.state in TROUBLES:
             self.bad.setdefault(TROUBLES[estimate.state], round(t, 1))
+        self.was_good |= estimate.state in GOOD
+        if self.was_good and estimate.state == MountState.LEVELLED:
+            self.bad.setdefault("lost", round(t, 1))
         shifts = estimate.details.get("shifts", ())
         if isinstance(shifts, list):
             self.moves = [shift for shift in shifts if is_move(shift)]

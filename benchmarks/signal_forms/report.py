@@ -22,7 +22,7 @@ NAMED = 0.5
 LEAST_S = 5.0
 AXES = ("roll", "pitch", "yaw")
 HEAD = (
-    f"{'form':34s} runs usable <=1.5x  med  p90 susp move anew    roll pitch  yaw  "
+    f"{'form':34s} runs usable <=1.5x  med  p90 susp move anew lost    roll pitch  yaw  "
     "not learnt  named  verdict"
 )
 
@@ -69,7 +69,9 @@ def row(form: Form, lines: Sequence[Line]) -> tuple[str, list[str]]:
     usable = sum(x.get("usable_s") is not None for x in counts)
     within = sum(map(_within, counts))
     ratios = [x["usable_s"] / x["twin_usable_s"] for x in counts if x.get("usable_s") is not None]
-    bad = {s: sum(s in x.get("bad", {}) for x in lines) for s in ("suspect", "recalibrating")}
+    bad = {
+        s: sum(s in x.get("bad", {}) for x in lines) for s in ("suspect", "recalibrating", "lost")
+    }
     moved = sum(bool(x.get("moves")) for x in lines)
     hit, known = held(lines)
     ran = [x for x in lines if "driving_s" in x]
@@ -104,8 +106,8 @@ def row(form: Form, lines: Sequence[Line]) -> tuple[str, list[str]]:
     learnt = f"{_percent(missed)}/{_percent(most)}"
     text = (
         f"{form.name:34s} {len(lines):4d} {_of(usable, n):>6s} {_of(within, n):>6s} {median:>5s} "
-        f"{p90:>4s} {bad['suspect']:4d} {moved:4d} {bad['recalibrating']:5d}  {shares} "
-        f"{learnt:>10s} {_of(len(lines) - len(unnamed), len(lines)):>6s}  "
+        f"{p90:>4s} {bad['suspect']:4d} {moved:4d} {bad['recalibrating']:4d} {bad['lost']:4d} "
+        f" {shares} {learnt:>10s} {_of(len(lines) - len(unnamed), len(lines)):>6s}  "
         f"{'; '.join(fails) or 'OK'}"
     )
     return text, fails

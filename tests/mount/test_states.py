@@ -17,7 +17,9 @@ from imucald.mount.states import (
     WIDE_SLACK,
     Manoeuvres,
     MountKnowledge,
+    is_mount_uncertain,
     judged,
+    reported,
     waiting_for,
 )
 from imucald.simulation import random_model, simulate
@@ -55,6 +57,26 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
     assert judged(just_over, MountState.LEVELLED, SETTINGS) != state
     assert judged(just_over, state, SETTINGS) == state
     assert judged(known(math.degrees(limit) * (slack + 0.05)), state, SETTINGS) != state
+
+
+@pytest.mark.parametrize(
+    ("of_sound", "has_moved", "before", "expected"),
+    [
+        (3.0, False, MountState.USABLE, MountState.LEVELLED),
+        (0.5, False, MountState.USABLE, MountState.SUSPECT),
+        (3.0, True, MountState.USABLE, MountState.SUSPECT),
+        (3.0, False, MountState.SUSPECT, MountState.SUSPECT),
+    ],
+)
+def test_a_mount_that_is_no_longer_certain_is_suspect_only_if_it_is_doubted(
+    of_sound, has_moved, before, expected
+):
+    """of_sound: deviation in yaw [deg] if neither a move nor a drift is possible."""
+    now = known(3.0)
+    now = replace(now, std_of_sound=(*now.std[:2], of_sound * DEG))
+    found = judged(now, before, SETTINGS)
+    is_uncertain = is_mount_uncertain(now, before, SETTINGS)
+    assert reported(found, before, False, True, has_moved, is_uncertain) == expected
 
 
 def test_without_a_gyroscope_a_state_is_left_later_because_it_rests_on_few_pieces():

@@ -66,6 +66,7 @@ def test_the_former_estimator_hears_of_the_time_it_missed(tmp_path):
         return made[-1]
 
     first = ScriptedEstimator(usable_from=0)
+    first.steps = int(MountState.USABLE)
     engine = engine_of(load(CONFIGS["planar"], tmp_path), first, new_estimator=new)
     former = engine.restart_calibration()
     assert former is first

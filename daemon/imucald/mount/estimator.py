@@ -453,7 +453,7 @@ class JointEstimator:
         if self.state not in GOOD:  # nothing is served as good; the fit is young
             if turned is not None:
                 self._begin_without_rotation()
-                self._served.has_moved = self.correction is not None
+                self._served.has_moved = self._served.was_good
             return turned is not None
         found = changes.large(carried, is_watched) if turned is None else turned
         if found is not None:
@@ -714,6 +714,7 @@ class JointEstimator:
             std=_as_angles(sent),
             cross_talk=(sent.xy, sent.yx),
             std_without_drift=_as_angles(solution.sent(self._turned())),
+            std_of_sound=_as_angles(solution.sent()),
         )
 
     def _acceptance(self) -> Acceptance:

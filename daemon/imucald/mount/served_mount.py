@@ -8,10 +8,12 @@ from collections.abc import Callable
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.estimate import Correction, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.hysteresis import GOOD
+from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.slewing import SlewedCorrection
-from imucald.mount.states import MountKnowledge, judged, reported
+from imucald.mount.states import MountKnowledge, is_mount_uncertain, judged, reported
 
+UNSENT = frozenset({MountState.WAITING, MountState.LEVELLED})
+"""States in which no correction is sent."""
 SLEW_RATE = math.radians(0.5)
 """The applied correction turns no faster than this [rad/s]."""
 
@@ -33,13 +35,18 @@ class ServedMount:
 
     @property
     def correction(self) -> Correction | None:
-        """Correction to apply now, or None."""
-        return self._slewed.correction
+        """Correction to apply now; None while the mount is too uncertain to be sent."""
+        return None if self.state in UNSENT else self._slewed.correction
+
+    @property
+    def was_good(self) -> bool:
+        """True if there was a good correction in this drive."""
+        return self._slewed.correction is not None
 
     @property
     def good(self) -> Correction | None:
-        """Correction to apply, unless the sensor was moved since it was good."""
-        return None if self.has_moved else self.correction
+        """Correction that was good last, unless the sensor was moved since."""
+        return None if self.has_moved else self._slewed.correction
 
     @property
     def has_arrived(self) -> bool:
@@ -65,23 +72,23 @@ class ServedMount:
         has_faults: a contradiction of the estimate stands. found_correction: makes the correction
         from the evidence so far.
         """
-        was_good, is_serving = self.state in GOOD, self.correction is not None
         found = self._accepted(judged(known, self.state, self._settings), acceptance)
-        self.state = reported(found, self.state, has_faults, is_serving, self.has_moved)
+        before, is_uncertain = self.state, is_mount_uncertain(known, self.state, self._settings)
+        doubts = has_faults, self.was_good, self.has_moved, is_uncertain
+        self.state = reported(found, before, *doubts)
         if self.state not in GOOD:
             return
         self._slewed.aim(found_correction())
-        if was_good or self._slewed.has_arrived:
+        if before in GOOD or self._slewed.has_arrived:
             self.has_moved = False
-        else:  # good again, but what is applied is still on the way from what was wrong
-            self.state = MountState.RECALIBRATING
+        else:  # good again, but what is applied is still on the way from what was not good
+            self.state = MountState.RECALIBRATING if before in BAD else before
 
     def _accepted(self, found: MountState, acceptance: Acceptance) -> MountState:
         """Return the accepted state: not *fine* before the tests work, and not good while a
         contradiction stands.
         """
-        is_serving = self.correction is not None and not self.has_moved
-        if found in GOOD and not is_serving and acceptance.missing_to_be_good() is not None:
+        if found in GOOD and self.good is None and acceptance.missing_to_be_good() is not None:
             return MountState.LEVELLED
         if found is MountState.FINE and not acceptance.may_be_fine():
             return MountState.USABLE

@@ -94,15 +94,17 @@ class MountKnowledge(Struct, frozen=True):
 
     std: deviations of the level zero y and x as tilts, and of the larger cross-talk xy or yx as a
     yaw [rad]; infinite before a solution. cross_talk: deviations of xy and yx. std_without_drift:
-    `std` if the accelerometer's zero were known not to drift; None: the same. turning: any signal
-    shows turns. has_gyro: the sensor's own gyroscope does. speed_hz: ticks per second with a speed
-    in the last minute. without_speed: none has ever come, so the speed is an unknown.
+    `std` if the accelerometer's zero were known not to drift; None: the same. std_of_sound: `std`
+    if the mount were known not to move either; None: the same. turning: any signal shows turns.
+    has_gyro: the sensor's own gyroscope does. speed_hz: ticks per second with a speed in the last
+    minute. without_speed: none has ever come, so the speed is an unknown.
     """
 
     gravity: bool = False
     std: tuple[float, float, float] = (math.inf, math.inf, math.inf)
     cross_talk: tuple[float, float] = (math.inf, math.inf)
     std_without_drift: tuple[float, float, float] | None = None
+    std_of_sound: tuple[float, float, float] | None = None
     straight: int = 0
     lefts: int = 0
     rights: int = 0
@@ -119,9 +121,24 @@ class MountKnowledge(Struct, frozen=True):
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
     """Return the state for this knowledge, with hysteresis against the previous state."""
+    return _judged(known, known.std, before, s)
+
+
+def is_mount_uncertain(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
+    """True if a mount and sensor that are known to be sound would not be good either."""
+    std = known.std if known.std_of_sound is None else known.std_of_sound
+    return _judged(known, std, before, s) not in GOOD
+
+
+def _judged(
+    known: MountKnowledge,
+    std: tuple[float, float, float],
+    before: MountState,
+    s: EstimatorSettings,
+) -> MountState:
     if not known.gravity:
         return MountState.WAITING
-    roll, pitch, yaw = known.std
+    roll, pitch, yaw = std
     is_sparse = known.without_speed or not known.has_gyro
     limits, slack = s.limits, WIDE_SLACK if is_sparse else SLACK
     levels = (
@@ -132,22 +149,27 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
 
 
 def reported(
-    found: MountState, before: MountState, has_faults: bool, is_serving: bool, has_moved: bool
+    found: MountState,
+    before: MountState,
+    has_faults: bool,
+    was_good: bool,
+    has_moved: bool,
+    is_uncertain: bool,
 ) -> MountState:
     """Return the state to report for the state from the evidence (*usable* or *suspect*, ...).
 
     A moved sensor is *suspect* first. before: the state so far. has_faults: a contradiction of the
-    estimate stands. is_serving: a rotation is already applied. has_moved: the mount moved and no
-    good rotation was found since.
+    estimate stands. was_good: a correction was good before. has_moved: the mount moved and no good
+    rotation was found since. is_uncertain: see `is_mount_uncertain`. An uncertain mount is not
+    suspect.
     """
     is_good = found in GOOD
-    if has_faults and (is_good or is_serving):
+    if has_faults and (is_good or was_good):
         return MountState.SUSPECT
     if has_moved and found is MountState.LEVELLED and before in BAD:
         return MountState.RECALIBRATING
-    if (has_moved or is_serving) and not is_good:
-        return MountState.SUSPECT
-    return found
+    is_doubted = has_moved or (was_good and (before in BAD or not is_uncertain))
+    return MountState.SUSPECT if is_doubted and not is_good else found
 
 
 def waiting_for(

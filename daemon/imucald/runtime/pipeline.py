@@ -348,10 +348,10 @@ class Pipeline:
             self.health.take_signals(judged, self.k / TICK_RATE)
 
     def _judge(self) -> None:
-        if self.correction is None:
-            self.quality = 0
+        self.quality = _QUALITY.get(self.estimator.state, 0)
+        if self.correction is None or not self.quality:
+            self.correction, self.quality = None, 0
             return
-        self.quality = _QUALITY.get(self.estimator.state, 2)
         if self.first_usable is None:
             self.first_usable = (self.k + 1) / TICK_RATE
         if self.first_fine is None and self.quality == _QUALITY[MountState.FINE]:
