@@ -86,21 +86,21 @@ class SignalBlock(Struct):
     ok_speed: Flags
     ok_yaw: Flags
     rest: Flags
-    learn: Flags  # nothing forbids to learn
-    steering: Array  # (N,) steering-wheel angle as it comes [rad]
+    learn: Flags  # the tick may be used for learning
+    steering: Array  # (N,) steering-wheel angle as received [rad]
     ok_steering: Flags
-    had_rate: Flags  # as ok_rate, but also while the bias was not known
-    gyro_bias: Array  # (3,) what was taken off the rate
+    had_rate: Flags  # as ok_rate, but also True while the bias was not known
+    gyro_bias: Array  # (3,) bias that was subtracted from the rate [rad/s]
     sided: Mapping[str, tuple[Array, Flags]] = field(default_factory=dict)
-    # Other signals that tell left from right: lateral_accel (N,) [m/s^2], and heading (N,) [rad] as
-    # received, without jumps at north. Each has a flag where it is known.
+    # Other signals that distinguish left from right: lateral_accel (N,) [m/s^2], and heading (N,)
+    # [rad] as received, without jumps at north. Each has flags (N,) of the known values.
     rate_walk: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    # Growth of the angle's variance from samples that come seldom, sensor axes [rad^2/s], see
-    # `gyro_walk`.
-    least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
-    speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
-    has_speed: bool = True  # False: none has ever come; `nominal_speed` stands for it
-    direction: float = 1.0  # -1 while the reverse gear is in
+    # Growth of the variance of the integrated angle if samples are seldom, sensor axes [rad^2/s],
+    # see `gyro_walk`.
+    least_speed: float = 0.0  # the vehicle may creep this fast at a speed signal of zero [m/s]
+    speed_knots: Array | None = None  # (K,) times of known speeds [ticks since the block began]
+    has_speed: bool = True  # False: no speed was ever received, `nominal_speed` is used
+    direction: float = 1.0  # -1 while the reverse gear is engaged
 
     @property
     def nominal_speed(self) -> Array:
