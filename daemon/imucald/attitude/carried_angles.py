@@ -1,10 +1,10 @@
 """Roll and pitch from both corrected triads (method B, claim 1, last step).
 
-The vertical is integrated with the corrected rate from sample to sample. It is corrected with a
-time constant towards the vertical of the corrected acceleration (claims 2 and 3: without the
-deflections). This is a complementary filter on the vertical, as in Mahony, Hamel and Pflimlin, IEEE
-Trans. Automatic Control 53, 2008. The publication says "attitude solution" and names no filter, so
-the filter is *reconstructed*.
+The vertical is integrated with the corrected rate from sample to sample. The integrated vertical is
+corrected with a time constant towards the vertical of the corrected acceleration (claims 2 and 3:
+without the deflections). This algorithm is a complementary filter on the vertical, as in Mahony,
+Hamel and Pflimlin, IEEE Trans. Automatic Control 53, 2008. The publication says "attitude solution"
+and names no filter, so the filter is *reconstructed*.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Method B alone, with the interface of the filter: corrected samples in, roll and pitch out.
 
-By default, the angles are computed directly from the force minus motion. They contain the noise of
-the force and have no memory except the memory of method B. The result is for comparison, and for
-users with a filter of their own.
+By default, the angles are computed directly from the force minus motion. The angles contain the
+noise of the force and have no memory except the memory of method B. The result is for comparison,
+and for users with a filter of their own.
 """
 
 from __future__ import annotations

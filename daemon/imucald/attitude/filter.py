@@ -3,7 +3,7 @@
 A run begins with the start: 5 s of rest, or 5 s of motion if the vehicle does not stand. After the
 start, the gyroscope updates the attitude at every sample. The filter runs at the end of every
 interval between two average speeds. After 30 s of rest, the sensor check runs once. The filter does
-no I/O and reads no clock. It takes the samples one by one.
+no I/O and reads no clock. The filter takes the samples one by one.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ class AttitudeFilter:
             self._take_heading(t, heading)
 
     def mag(self, t: float, values: Sequence[float]) -> None:
-        """Take a magnetic field in vehicle axes [T]. Its level part points north."""
+        """Take a magnetic field in vehicle axes [T]. The level part of the field points north."""
         if self.settings.filter.heading != "magnetometer" or not self.running:
             return
         m = rfu_from_vehicle(values[0], values[1], values[2])

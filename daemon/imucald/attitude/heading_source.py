@@ -7,8 +7,8 @@ which is the largest difference since the loss. A source proves itself if it agr
 gyroscope, up to a constant, for a minute and over a turn. The turn must be so large that a frozen,
 mirrored or wrongly scaled source could not have agreed. A proved source is used again in two cases:
 it shows the same north as before, or the earlier north was not proved. If two different norths were
-both proved, one of them is wrong. It is then not known which north is wrong, so the doubt stays.
-The module does no I/O and reads no clock.
+both proved, one of them is wrong. The wrong north is not known, so the doubt stays. The module does
+no I/O and reads no clock.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """The nine-state Kalman filter of method C: errors of attitude, gyroscope and accelerometer.
 
-The state is x = (dp, dr, dy, bx, by, bz, dx, dy, dz). It contains the attitude error (rotation
-vector about east, north, up; C_true = exp(skew(e)) C), the random error of the gyroscope [rad/s]
-and the random error of the accelerometer [m/s^2] in body axes. In right-forward-up axes of the
-body, an error about the right axis is a pitch error, and an error about the forward axis is a roll
-error.
+The state is x = (dp, dr, dy, bx, by, bz, dx, dy, dz). The state contains the attitude error
+(rotation vector about east, north, up; C_true = exp(skew(e)) C), the random error of the gyroscope
+[rad/s] and the random error of the accelerometer [m/s^2] in body axes. In right-forward-up axes of
+the body, an error about the right axis is a pitch error, and an error about the forward axis is a
+roll error.
 
 The model is x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's
 random error is a Gauss-Markov process. The gyroscope's random error is a random walk, the
@@ -52,8 +52,8 @@ def of_axes(per_vehicle_axis: Vector) -> Vector:
 class NineStateFilter:
     """Covariance (9, 9), and the estimated random errors that were fed back.
 
-    bias: error of the gyroscope [rad/s]. accel_error: error of the accelerometer [m/s^2]. Both are
-    in body axes, right-forward-up.
+    bias: error of the gyroscope [rad/s]. accel_error: error of the accelerometer [m/s^2]. Both
+    errors are in body axes, right-forward-up.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
@@ -72,8 +72,8 @@ class NineStateFilter:
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
         """Begin again. The arguments are standard deviations [rad], [rad/s].
 
-        The estimated gyroscope error is kept. Its variance also contains the random walk since the
-        estimate.
+        The estimated gyroscope error is kept. The variance of this error also contains the random
+        walk since the estimate.
         """
         gyro = [max(c**2, float(self.P[3 + i, 3 + i]))
                 for i, c in enumerate(of_axes(per_axis(gyro_std)))]  # fmt: skip

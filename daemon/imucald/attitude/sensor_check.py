@@ -19,7 +19,8 @@ LARGEST_RATE = math.radians(6.0)
 LARGEST_FORCE = 3.0
 """Constant error above which an accelerometer counts as broken [m/s^2]."""
 DIGITS = 10
-"""Number of decimal places of a saved check. They are finer than any sensor."""
+"""Number of decimal places of a saved check. The last decimal place is finer than the error of any
+sensor."""
 
 
 class CheckResult(NamedTuple):

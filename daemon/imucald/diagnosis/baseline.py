@@ -1,7 +1,7 @@
 """The model file that a diagnosis starts from if the user gives none.
 
-The model file describes an ordinary car. It contains the defaults of the simulation, the vehicle
-data of the configuration, the sample rates of the logs, and the mount that the daemon's own
+The model file describes an ordinary car. The file contains the defaults of the simulation, the
+vehicle data of the configuration, the sample rates of the logs, and the mount that the daemon's own
 estimator finds in the logs. A value that nobody has stated may have any plausible value
 (`known_to`).
 """

@@ -53,8 +53,8 @@ class Cause:
     together: tuple[str, ...] = ()
     """Parameters that are also tested with one common value."""
     with_it: tuple[tuple[str, float], ...] = ()
-    """Keys and factors of parameters that change with the cause. They are one more form of the
-    cause."""
+    """Keys and factors of parameters that change with the cause. A change together with these
+    parameters is one more form of the cause."""
     drift: bool = False
     """True if the cause is tested as a linear growth over the drive."""
     lead: int = 0

@@ -256,8 +256,8 @@ def _signals(
 
 
 def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
-    """Return structure in raw values that no healthy signal shows, apart from faults. These tests
-    need no fit and have their own false-discovery rate."""
+    """Return structure in raw values that no healthy signal shows. Faults are not included. These
+    tests need no fit and have their own false-discovery rate."""
     return beyond_chance(
         [
             *coarser(parts, model),

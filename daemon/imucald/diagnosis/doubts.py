@@ -40,8 +40,8 @@ USES = {
     "accel_y": (*TAKES["accel_y"], "speed"),
     "yaw_rate": (*TAKES["yaw_rate"], "speed"),
 }
-"""Signals that each equation uses. They are the signals of `TAKES`, which limit its frequency band,
-and the speed, where an equation uses the speed without such a limit."""
+"""Signals that each equation uses. These signals are the signals of `TAKES`, which limit its
+frequency band, and the speed, where an equation uses the speed without such a limit."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:

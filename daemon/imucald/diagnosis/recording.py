@@ -53,7 +53,8 @@ class Recording:
     """Cycle time of the message, by channel [s], as the database states it; absent if the database
     has no cycle time."""
     planar: bool = False
-    """True if the accelerometer has no z axis. Its third value is then declared as one g."""
+    """True if the accelerometer has no z axis. The third value of such an accelerometer is declared
+    as one g."""
     problems: tuple[str, ...] = ()
     """The first bad lines, as texts with file and line number."""
 

@@ -106,8 +106,8 @@ class Candidate:
 
 @dataclass(frozen=True)
 class SignalGain:
-    """Residual of one measured signal, rms in `unit`. *after* is the residual with the written file
-    alone."""
+    """Residual of one measured signal, rms in `unit`. `rms_after` is the residual with the written
+    model file, without a further fit."""
 
     rms_before: float
     rms_after: float

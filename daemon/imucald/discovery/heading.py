@@ -59,7 +59,7 @@ class HeadingFit:
     relation: Relation
     delay: int
     is_reversed: bool = False
-    """True if the accelerometer was reversed because of the heading."""
+    """True if the signs of the accelerometer's axes were reversed to agree with the heading."""
 
     @property
     def is_named(self) -> bool:

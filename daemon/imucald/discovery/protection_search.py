@@ -1,9 +1,9 @@
 """Find alive counters and checksums of a message by testing them on its frames.
 
-A checksum of eight bits fits a frame by chance with a probability of 1/256. It must fit nearly all
-of at least 20 different frames. Unknown data ids of AUTOSAR E2E profiles need no search: a CRC is
-linear, so an id contributes the same number to the checksum of every frame. If ids alternate, the
-contribution is the same for all frames with one counter value.
+A checksum of eight bits fits a frame by chance with a probability of 1/256. A checksum is therefore
+accepted only if it fits nearly all of at least 20 different frames. Unknown data ids of AUTOSAR E2E
+profiles need no search: a CRC is linear, so an id contributes the same number to the checksum of
+every frame. If ids alternate, the contribution is the same for all frames with one counter value.
 """
 
 from __future__ import annotations

@@ -77,7 +77,8 @@ class Sensors:
         self.wheels = next(iter(wheel_sets(candidates)), None)
         self.taken: set[str] = {c.path for c in self.wheels or ()}
         self.other_axes: set[str] = set()
-        """Axes of other accelerometers on the bus. Their mounts are not known."""
+        """Axes of other accelerometers on the bus. The mounts of these accelerometers are not
+        known."""
         self.heading: HeadingFit | None = None
         self._found: list[Choice | None] = []
         self._speeds: list[SpeedFit] = []

@@ -35,8 +35,8 @@ NORM_SPREAD = 0.05
 """Largest relative spread of the vector's size in a drive. A manoeuvre of 0.3 g increases the size
 by sqrt(1 + 0.3^2) - 1 = 0.04. In most of a drive, the manoeuvres are weaker."""
 CALM_PART = 0.1
-"""Share of a drive in which even a racing driver neither brakes nor turns. In this share, the
-vector (smoothed over bumps) is never shorter than 1 g and hardly longer."""
+"""Share of a drive in which even a racing driver neither brakes nor turns. In this share of a
+drive, the size of the smoothed specific force is 1 g or slightly more."""
 EARTH_FIELD = (22e-6, 67e-6)
 """Range of the earth's magnetic field [T] (World Magnetic Model)."""
 
@@ -92,7 +92,8 @@ def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
     """Return all triads without a unit whose names show the axes and whose vector has a constant
     size in counts.
 
-    The earth's field in a magnetometer also has a constant size. Only motion shows the difference.
+    The vector of a magnetometer also has a constant size (the earth's field). An accelerometer and
+    a magnetometer can be distinguished only by the vehicle's motion.
     """
     found = []
     for three in _threes(candidates, "acceleration"):

@@ -19,8 +19,8 @@ SAME_SPEED = 0.1
 """Largest relative difference between the mean wheel speeds of one vehicle. Different tyres cause 3
 %."""
 SIDE_BY_SIDE = 0.98
-"""Smallest correlation between the wheel speeds in a drive. They differ only in bends and by
-slip."""
+"""Smallest correlation between the wheel speeds in a drive. Wheel speeds of one vehicle differ only
+in bends and by slip."""
 MIN_BITS = 7
 HALF_SQUARE = (1.5, 12.0)
 """Range of half of the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces the measured
@@ -166,7 +166,7 @@ def _track(
     four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, reference: KnownMotion
 ) -> Relation | None:
     """Return the relation between the yaw rate and the speed difference of right and left wheels,
-    both divided by the speed. Its gain is the track.
+    both divided by the speed. The gain of this relation is the track.
     """
     if reference.turn is None:
         return None

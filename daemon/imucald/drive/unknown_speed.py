@@ -125,8 +125,8 @@ class UnknownSpeed:
     def restart(self, is_same_drive: bool = False) -> None:
         """Begin again, because time jumped or the axes have changed.
 
-        is_same_drive: begin with the last speed as the most likely speed. Its deviation is that of
-        an unknown speed.
+        is_same_drive: begin with the last speed as the most likely speed. The deviation of this
+        speed is the deviation of an unknown speed.
         """
         v = float(self._states[V, 0]) if is_same_drive else FIRST_SPEED
         zero = RATE_ZERO if self._is_carried else 0.0

@@ -54,10 +54,10 @@ class CarriedVertical:
     def block(self, rate: Array, pull: Array, use: Flags) -> tuple[Array, Array]:
         """Return the vertical (N, 3) and its sensitivities (N, 3, 3) over one block.
 
-        rate: (N, 3) [rad/s]. pull: (N, 3) (force minus motion) / g. Both are in body axes. use:
-        (N,) flags of the ticks whose `pull` is used. The sensitivities are d u / d (e_xz, e_yz,
-        g_z). e_xz and e_yz are the cross-talk of the rate from z to x and to y. g_z is a rotation
-        of the gyroscope about z relative to the accelerometer [rad].
+        rate: (N, 3) [rad/s]. pull: (N, 3) (force minus motion) / g. `rate` and `pull` are in body
+        axes. use: (N,) flags of the ticks whose `pull` is used. The sensitivities are d u / d
+        (e_xz, e_yz, g_z). e_xz and e_yz are the cross-talk of the rate from z to x and to y. g_z is
+        a rotation of the gyroscope about z relative to the accelerometer [rad].
         """
         n = len(rate)
         if self.up is None:

@@ -2,8 +2,8 @@
 was made.
 
 Three further kinds of entries have the same form, so that an older version can read the file and
-ignore these entries. They are changes of signals from sample to sample, statistics of successive
-samples, and the levels of the values.
+ignore these entries. These entries are changes of signals from sample to sample, statistics of
+successive samples, and the levels of the values.
 """
 
 from __future__ import annotations

@@ -45,7 +45,8 @@ class VehicleModel(Section, frozen=True):
     `with_changes`."""
 
     grid_hz: Annotated[float, Meta(ge=50.0, le=2000.0)] = 200.0
-    """Rate of the simulated physics [Hz]. It must not be below the rate of the inertial sensor."""
+    """Rate of the simulated physics [Hz]. This rate must be at least the rate of the inertial
+    sensor."""
     route: DriveRoute = DriveRoute()
     chassis: Chassis = Chassis()
     suspension: Suspension = Suspension()

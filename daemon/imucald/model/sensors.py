@@ -55,7 +55,7 @@ class Transmission(Section, frozen=True):
 
 
 class TriaxialSensor(Transmission, frozen=True):
-    """Three-axis inertial sensor. Its unit is m/s^2 or rad/s."""
+    """Three-axis inertial sensor. The unit of the samples is m/s^2 or rad/s."""
 
     rate_hz: RateHz = 100.0
     jitter_s: NonNegative = 0.0003

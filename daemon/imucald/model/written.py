@@ -24,7 +24,7 @@ class WrittenModel:
     """The content of a model file, and the mistakes in the keys read so far.
 
     name: name of the file in texts. unknown: keys that are not in the schema, in the order of the
-    file. They may be keys of a later version.
+    file. Unknown keys may be keys of a later version.
     """
 
     def __init__(self, data: Any, marks: Marks, name: str) -> None:

@@ -27,8 +27,8 @@ class PreprocessingChain:
     """Removes the known errors of the model file, between router and output.
 
     name: name of the model file. estimate_key: equal keys give equal estimates of the mount.
-    vehicle, ticks: None if they change no signal. used: names of the terms that are removed. notes:
-    parts of the model file that are not used.
+    vehicle, ticks: corrections; None for a correction that changes no signal. used: names of the
+    terms that are removed. notes: parts of the model file that are not used.
     """
 
     name: str

@@ -50,7 +50,8 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "grade_rms": (0.0, 0.5),
 }
 """Allowed ranges, in the unit of the key. All usable sensors, vehicles and roads are within these
-ranges. They are tighter than the ranges of the schema, because a simulated drive may use any value.
+ranges. These ranges are tighter than the ranges of the schema, because a simulated drive may use
+any value.
 """
 SCALE_RANGE = (-0.8, 4.0)
 """Range of the scale error of a signal with one component. The lower limit is also valid for a

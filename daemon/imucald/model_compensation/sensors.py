@@ -53,8 +53,8 @@ class Taken:
 class SensorCorrection:
     """Removes the known errors of each sensor from its samples.
 
-    derived_speed: True if the speed is computed from the wheel speeds. It is then computed again
-    from the corrected wheel speeds.
+    derived_speed: True if the speed is computed from the wheel speeds. The speed is then computed
+    again from the corrected wheel speeds.
     """
 
     def __init__(self, terms: Terms, derived_speed: bool = False) -> None:

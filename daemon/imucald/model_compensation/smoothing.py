@@ -23,7 +23,7 @@ class Smoothed:
         self._t = -math.inf
 
     def restart(self) -> None:
-        """Delete the state after a jump of time."""
+        """Forget the smoothed value after a jump of time."""
         self.value = ZERO
         self._t = -math.inf
 

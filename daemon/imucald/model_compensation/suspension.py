@@ -30,8 +30,8 @@ UPRIGHT: SuspensionAttitude = (0.0, 0.0, 0.0, 0.0)
 
 
 class _Axis:
-    """One axis as a second-order system. It has one gradient for a positive force and another for a
-    negative force."""
+    """One axis as a second-order system. The axis has one gradient for a positive force and another
+    for a negative force."""
 
     def __init__(self, positive: float, negative: float, hz: float, damping: float) -> None:
         omega = 2.0 * math.pi * hz

@@ -60,8 +60,8 @@ class TriadCompensator:
         """Correct samples (N, 3) as `sample` does. Returns the results and flags (N,) of the
         refused samples.
 
-        temperatures: pair of arrays. The first has, for each sample, the number of temperatures
-        that arrived before it. The second has the temperatures (M,) [degC].
+        temperatures: pair of arrays. The first array has, for each sample, the number of
+        temperatures that arrived before it. The second array has the temperatures (M,) [degC].
         """
         bias = np.array([self._bias])
         if self.follows_temperature:

@@ -3,8 +3,9 @@ axis, which show the sensor's health.
 
 The statistics are counts and comparisons of single samples, without smoothing. Examples are runs of
 equal values, the largest value, and the number of samples with the largest value. In live
-operation, a hop is computed when it is over. In replay, many hops are computed together. Both use
-`hop_rows`, so the results are bit-equal. The compiled code and `_count_axis` do the same.
+operation, a hop is computed when it is over. In replay, many hops are computed together. Live
+operation and replay use `hop_rows`, so the results are bit-equal. The compiled code and
+`_count_axis` compute the same numbers.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 There are three kinds of limits. A number that no sensor of this kind can measure is *impossible*.
 Impossible numbers are dropped before any use. A motion that no road vehicle makes is *implausible*.
-Its cause may be a fall, a turntable or a wrong unit. A value at the end of the sensor's range is
-*saturated*, because the true value lies beyond the range. (`inputs.quantities` checks the range
-that a signal's database states.)
+The cause of an implausible motion may be a fall, a turntable or a wrong unit. A value at the end of
+the sensor's range is *saturated*, because the true value lies beyond the range.
+(`inputs.quantities` checks the range that a signal's database states.)
 """
 
 from __future__ import annotations

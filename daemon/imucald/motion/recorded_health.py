@@ -1,8 +1,8 @@
 """Stuck and clipped samples of a whole recording, found with the tests that watch a sensor while
 driving.
 
-A whole recording shows more than the samples up to a time. It shows where a stuck run began, all
-samples on the end of the range, and the distribution of the values below the end of the range.
+A whole recording shows where a stuck run began, all samples on the end of the range, and the
+distribution of the values below the end of the range.
 """
 
 from __future__ import annotations

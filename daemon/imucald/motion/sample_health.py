@@ -38,8 +38,8 @@ from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
 SPEED_HOPS = 6
-"""Number of hops (3 s) for which a received speed counts as known. This suits sources of one sample
-per second with two lost samples.
+"""Number of hops (3 s) for which a received speed counts as known. 3 s are enough for a source of
+one sample per second that loses two samples.
 """
 BRAKING = 4.0
 """Largest assumed braking of the vehicle since its speed was last received [m/s^2]."""
@@ -296,8 +296,8 @@ class SampleHealth:
         """Find the faults in hops `first`, `first` + 1, and so on.
 
         speeds: last received speed of each hop [m/s], None without a speed; there are as many hops
-        as speeds. more: samples of channels with their hops, counted from `first`. They are used
-        after the pending samples.
+        as speeds. more: samples of channels with their hops, counted from `first`. The samples in
+        `more` are used after the pending samples.
         """
         moves = [self._is_moving(speed) for speed in speeds]
         moving = np.array(moves)

@@ -327,8 +327,8 @@ def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
-    """Return the smallest and largest flag of every five hops. Both are 1 if the vehicle moved in
-    all five hops.
+    """Return the smallest and largest flag of every five hops. Both flags are 1 if the vehicle
+    moved in all five hops.
     """
     five = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
     return five.min(axis=1), five.max(axis=1)

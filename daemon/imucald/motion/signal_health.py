@@ -335,8 +335,8 @@ class FaultEvent(Struct):
 class FaultsInForce:
     """Present faults of a channel, and the time without each fault since it was last seen [s].
 
-    events: reported faults of all channels. A fault that begins is appended. When the fault ends,
-    its end is stored there.
+    events: reported faults of all channels. A fault that begins is appended. When a fault ends, the
+    time of the end is stored in the reported fault.
     """
 
     def __init__(self, channel: str, events: deque[FaultEvent]) -> None:

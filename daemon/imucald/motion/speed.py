@@ -19,8 +19,8 @@ from imucald.motion.ticks import TICK_S
 
 NAN = math.nan
 HISTORY_TICKS = 64
-"""Number of ticks whose running sums are kept. This is enough for any delay and an interval of up
-to 4 s."""
+"""Number of ticks whose running sums are kept. This number is enough for any delay and an interval
+of up to 4 s."""
 
 
 class SpeedInterval(NamedTuple):

@@ -4,7 +4,7 @@ There are different thresholds for different questions. The first question is wh
 of the speed is zero. The second question is whether the *sensor* feels only an idling engine. The
 third question is whether a mean rate at rest is a gyroscope error or a turn. The callers decide how
 long rest must last. The static test of method A is the published test
-(`mount.method_a.static_test`). Its limits are settings (`config.calibration`).
+(`mount.method_a.static_test`). The limits of the static test are settings (`config.calibration`).
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ tick). A rounded speed or yaw rate may stay constant, so it is compared with ano
 (`StuckSignal`). `model_compensation.held_repeats` does not look for stuck sensors: it keeps a stuck
 sensor recognisable.
 
-`EqualRuns` holds the places of the runs of equal values. `UsualRuns` holds their usual duration.
+`EqualRuns` holds the places of the runs of equal values. `UsualRuns` holds the usual duration of
+these runs.
 """
 
 from __future__ import annotations

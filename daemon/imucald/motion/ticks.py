@@ -2,7 +2,7 @@
 
 Estimators run ten times a second on ticks. A tick contains means and extremes of its samples. In
 live operation, `TickAccumulator` adds sample by sample. In replay, `column_ticks` processes whole
-columns. Both add in the same order, so the results are bit-equal.
+columns. Live operation and replay add the samples in the same order, so the results are bit-equal.
 
 A tick covers [k / 10, (k + 1) / 10) seconds of stream time. Every tick of a segment has a row, even
 a tick without samples. The rows are therefore a uniform 10 Hz grid. NaN marks missing values.

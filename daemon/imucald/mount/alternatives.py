@@ -44,8 +44,8 @@ RARELY = 4
 MAX_REVERSE = 11.0
 """Speed [m/s] that no vehicle reaches in reverse.
 
-The reverse gear has about the ratio of the first gear, 13 in total with the axle. This gives 11 m/s
-at 4,400 engine revolutions per minute with a wheel circumference of 2 m.
+The reverse gear has about the ratio of the first gear, 13 in total with the axle. This ratio gives
+11 m/s at 4,400 engine revolutions per minute with a wheel circumference of 2 m.
 """
 WAY_AHEAD = 100.0
 """Distance [m] after which a reverse signal shows which direction is forward.

@@ -53,9 +53,10 @@ the source itself states."""
 HIDDEN = 0.4
 """Share of a drift that the segments may not show.
 
-An angle far from the mean looks like noise, so its segments get less weight. This reduces the level
-most where the drift is largest. In simulated drives with 72 deg/h (seeds 500,000 to 500,011), the
-fit found 0.6 of the level with weights about the drift, and 0.5 with weights about the mean.
+An angle far from the mean looks like noise, so its segments get less weight. The lower weight
+reduces the estimated level most where the drift is largest. In simulated drives with 72 deg/h
+(seeds 500,000 to 500,011), the fit found 0.6 of the level with weights about the drift, and 0.5
+with weights about the mean.
 """
 EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
 """Sources whose errors hardly depend on the road.
@@ -161,8 +162,9 @@ def _apart(of_yaw: Sequence[tuple[SegmentSeries, float]]) -> float:
     """Return the ratio of the difference between the two sources of yaw to its expected size,
     squared; at least 1.
 
-    Creep of the mount changes both sources equally. Their difference therefore shows errors that
-    last for minutes. of_yaw: each source, and the factor by which its information is too large.
+    Creep of the mount changes both sources equally. The difference between the two sources
+    therefore shows errors that last for minutes. of_yaw: each source, and the factor by which its
+    information is too large.
     """
     if len(of_yaw) < len(YAW) or len({len(one.left) for one, _ in of_yaw}) > 1:
         return 1.0

@@ -68,8 +68,8 @@ class Missing(enum.IntEnum):
 class Targets(Struct, frozen=True):
     """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
 
-    The targets are compared with `MountEstimate.judged_std`. Its value about x may contain the
-    road's crown.
+    The targets are compared with `MountEstimate.judged_std`. The judged deviation about x may
+    contain the road's crown.
     """
 
     usable: tuple[float, float, float]

@@ -1,8 +1,9 @@
 """Signals on an even time grid, for many blocks of ticks without holes at once.
 
 In live operation, each block is computed when it is complete. In replay, all blocks of a chunk are
-computed together. Both use `even_blocks`, so the results are equal to the last bit. A block that
-has a hole or may be stuck is marked. `signal_blocks` processes such blocks one by one.
+computed together. Live operation and replay use `even_blocks`, so the results are equal to the last
+bit. A block that has a hole or may be stuck is marked. `signal_blocks` processes such blocks one by
+one.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def _signed_permutations() -> Array:
 TRIED = _signed_permutations()
 HALF = len(TRIED) // 2
 """Half of the number of alternatives. The second half of `TRIED` is the first half with all signs
-inverted. Its last matrix is the inverted identity.
+inverted. The last matrix of `TRIED` is the inverted identity.
 """
 
 MOST_OF_LATE = TO_ACCUSE / 3.0

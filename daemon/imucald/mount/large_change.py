@@ -155,9 +155,9 @@ bend may be unusual."""
 LIMITS = (6.0, 6.0, 6.0)
 """Standard deviations above which a change in roll, pitch or yaw counts.
 
-The probability of 6 standard deviations is 2e-9 for a normal variable, two-sided. This is one false
-alarm in 3,000 h: there are 560 blocks an hour and about twelve tests in each block, of which two or
-three are independent.
+The probability of 6 standard deviations is 2e-9 for a normal variable, two-sided. This probability
+gives one false alarm in 3,000 h: there are 560 blocks an hour and about twelve tests in each block,
+of which two or three are independent.
 """
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(2.5))
 """Smallest change in roll, pitch and yaw that this test reports [rad]. `joint.moves` finds smaller

@@ -4,9 +4,10 @@ For each block, the residual energies E_k and E_0 of the two hypotheses are comp
 
     log L_0 - log L_k = (n / 2) log(E_k / E_0),
 
-This is the likelihood ratio of normal variables with unknown spread (profile likelihood; Davison,
-Statistical Models, 2003, ch. 4.5). n is the number of independent values in the block. The ratio of
-one block is limited to `MOST`, so that a single unusual block cannot decide the test.
+This logarithm is the log likelihood ratio of normal variables with unknown spread (profile
+likelihood; Davison, Statistical Models, 2003, ch. 4.5). n is the number of independent values in
+the block. The ratio of one block is limited to `MOST`, so that a single unusual block cannot decide
+the test.
 """
 
 from __future__ import annotations

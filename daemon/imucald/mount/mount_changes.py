@@ -135,7 +135,7 @@ class MountChanges:
         return change
 
     def take_block(self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker) -> None:
-        """Take a block. It is compared with earlier and later blocks."""
+        """Take a block, and compare it with earlier and later blocks."""
         assert carried.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         use = driven(p)
@@ -197,7 +197,8 @@ class MountChanges:
         self._large.restart()
 
     def restart(self) -> None:
-        """Begin another mounting. Its data are not compared with earlier data."""
+        """Begin another mounting. The data of the new mounting are not compared with earlier
+        data."""
         self._large.restart()
         self.borne[:] = 0.0
 

@@ -15,8 +15,8 @@ from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.hysteresis import SLACK
 
 SD_95 = 2.0
-"""Half of a 95 % interval, in standard deviations. This is the meaning of "±" in all texts for
-people."""
+"""Half of a 95 % interval, in standard deviations. All texts for people use this half interval
+after "±"."""
 CONVENTION = "± is 95 % (two standard deviations)"
 ABOUT = (
     f"{CONVENTION}; the state depends on the error left in corrected samples, as turns about an "

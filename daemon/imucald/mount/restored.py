@@ -2,10 +2,10 @@
 
 The warm start wraps any estimator. The stored rotation is usable at once, with the state
 *restored*. The estimator inside restarts, so its results are new evidence. If the new estimate
-agrees with the stored rotation, the stored rotation is confirmed. It then stays in use until the
-new estimate is as certain. If the new estimate contradicts the stored rotation, the stored rotation
-becomes *suspect*. Once the new estimate is usable, the applied rotation changes slowly to the new
-estimate.
+agrees with the stored rotation, the stored rotation is confirmed. A confirmed rotation stays in use
+until the new estimate is equally certain. If the new estimate contradicts the stored rotation, the
+stored rotation becomes *suspect*. Once the new estimate is usable, the applied rotation changes
+slowly to the new estimate.
 
 The knowledge of the sensor itself from an earlier drive is prior information of the new evidence
 (`joint.known`), so the errors of a known sensor are found again soon.
@@ -52,8 +52,8 @@ CONTRADICTION = 16.3
 """Chi-square with 3 degrees of freedom (99.9 %) above which the two mounts contradict each
 other."""
 DOUBTS = 8
-"""Number of contradictions in a row that makes the stored mount suspect. They take 8 s, so they
-come from at least two solutions.
+"""Number of contradictions in a row that makes the stored mount suspect. This number of
+contradictions takes 8 s, so the contradictions come from at least two solutions.
 """
 CONTRADICTIONS = 15
 """Number of contradictions in a row after which the stored mount is dropped. A single bad road

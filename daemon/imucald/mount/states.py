@@ -44,7 +44,7 @@ class Manoeuvres:
         """
 
     def add_accelerations(self, accel: Array, turn: Array) -> None:
-        """Take a block of dv/dt and v r. Both are zero in ticks that are not trusted."""
+        """Take a block of dv/dt and v r. dv/dt and v r are zero in ticks that are not trusted."""
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))
 
@@ -187,7 +187,7 @@ def waiting_for(
 
 
 class _Goal(Struct, frozen=True):
-    """The next state, and the deviations that it needs [rad]."""
+    """The next state, and the largest deviations [rad] that are allowed in this state."""
 
     state: MountState
     tilt: float

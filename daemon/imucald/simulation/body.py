@@ -1,8 +1,8 @@
 """The sprung body on the road: its attitude, its angular rate, and the specific force at a sensor.
 
 Frames: earth (z up) -> road (yaw, slope, cross fall) -> body (suspension pitch and roll). Vehicle
-axes are the axes of the body. At rest on a level road, they are the ISO 8855 axes. The sensor is
-fixed to the body, so the mount is a rotation between sensor and *body*.
+axes are the axes of the body. At rest on a level road, the vehicle axes are the ISO 8855 axes. The
+sensor is fixed to the body, so the mount is a rotation between sensor and *body*.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ def road_force(
 ) -> tuple[Array, Array, Array]:
     """Return the specific force (a - g) at the origin of the road frame, in road axes [m/s^2].
 
-    The velocity in road axes is (v, v_y, 0). Its derivative adds w x v.
+    The velocity in road axes is (v, v_y, 0). The rotation of the road frame adds w x v to the
+    derivative of this velocity.
     """
     r, vy = handling.yaw_rate, handling.lateral_velocity
     p, q = _road_rates(handling, road)[:2]

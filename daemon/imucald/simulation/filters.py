@@ -101,8 +101,8 @@ def gauss_markov(rng: np.random.Generator, n: int, step: float, length: float) -
     """Return a second-order Gauss-Markov process (n,) with variance 1, stationary from the first
     sample.
 
-    Its autocorrelation is (1 + d/length) exp(-d/length). The slope of this autocorrelation is
-    continuous, so the rate of change of the process is finite.
+    The autocorrelation of the process is (1 + d/length) exp(-d/length). The slope of this
+    autocorrelation is continuous, so the rate of change of the process is finite.
     """
     if n <= 0:
         return np.zeros(0)

@@ -161,7 +161,7 @@ def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:
 
 
 def _engine(speed: Array, rate: float, phase: float) -> Array:
-    """Return a sine of the second engine order. Its frequency is the idle frequency at rest, and
+    """Return a sine of the second engine order. The frequency is the idle frequency at rest, and
     depends on speed and gear in motion."""
     v = np.abs(speed)
     per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(GEAR_UPPER_MPS, v)]

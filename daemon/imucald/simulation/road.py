@@ -96,8 +96,8 @@ def _waves(seed: int, name: str, n: int, length: float) -> Array:
 
 
 def _spline(x: Array, nodes: Array, values: Array) -> Array:
-    """Return the cubic (Catmull-Rom) interpolation between nodes at unit distance. Its slope is
-    continuous."""
+    """Return the cubic (Catmull-Rom) interpolation between nodes at unit distance. The slope of the
+    interpolation is continuous."""
     i = np.clip(x.astype(np.int64), 0, len(nodes) - 2)
     u = x - i
     y0, y1 = values[np.maximum(i - 1, 0)], values[i]

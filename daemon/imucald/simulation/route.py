@@ -115,7 +115,8 @@ class RouteBuilder:
         return Path(*(np.concatenate(column) for column in self._columns))
 
     def stop_time(self) -> float:
-        """Draw the duration of a stop. It is log-normal, as for waits at traffic lights."""
+        """Draw the duration of a stop. The duration is log-normal, as for waits at traffic
+        lights."""
         mean = self._route.stop_mean_s
         return float(np.clip(self._rng.lognormal(math.log(mean) - 0.32, 0.8), 2.0, 90.0))
 
@@ -205,7 +206,7 @@ class RouteBuilder:
             self.reverse_manoeuvre()
 
     def country_road(self, length: float) -> None:
-        """Add a country road with bends. It ends at a roundabout, a junction or a stop."""
+        """Add a country road with bends. The road ends at a roundabout, a junction or a stop."""
         done = 0.0
         while done < length:
             speed = self.uniform(18.0, 27.0)

@@ -92,9 +92,9 @@ class GyroStepAxis:
     def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
         """Return the amplitudes at the step frequency, in x, y, up.
 
-        They are the mean of this step and the previous step. Sway at half of the frequency leaks
-        into both steps with opposite signs, because one step is with the left foot and the other
-        with the right foot. The mean removes it.
+        The amplitudes are the mean of this step and the previous step. Sway at half of the
+        frequency leaks into both steps with opposite signs, because one step is with the left foot
+        and the other with the right foot. The mean removes the sway.
         """
         first = np.fft.fft(cycle.level, axis=0)[1] / POINTS
         before, self._before = self._before, (cycle.t1, first)
@@ -108,7 +108,7 @@ class GyroStepAxis:
         """Return the power of rotations about horizontal axes, and this power with the doubled
         angle of the rotation axis.
 
-        Both are large for a terminal that swings with a leg or an arm. They are small for a
+        Both results are large for a terminal that swings with a leg or an arm, and small for a
         terminal that is held still.
         """
         x, y = cycle.turning[:, 0], cycle.turning[:, 1]

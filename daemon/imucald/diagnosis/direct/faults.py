@@ -35,9 +35,9 @@ PAUSE_S = 10.0
 """Gap after which a new segment begins [s], everywhere in this program."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
-"""Two limits of a clock error [ppm]. The first is the limit for two crystals of +-100 ppm over
-temperature and age. Beyond the second limit (1 %), the model file states another rate, which is not
-a fault."""
+"""Two limits of a clock error [ppm]. The first limit is the largest difference between two crystals
+of +-100 ppm over temperature and age. Beyond the second limit (1 %), the model file states another
+rate, which is not a fault."""
 
 
 def find_faults(
@@ -45,7 +45,8 @@ def find_faults(
 ) -> list[Fault]:
     """Return all faults of samples and time stamps that the model file does not state.
 
-    lost: invalid readings by signal (`lost_readings`). They are not the end of a range.
+    lost: invalid readings by signal (`lost_readings`). Readings at the end of a range are not
+    invalid.
     """
     moving, none = _moving(samples), lost or {}
     found: list[Fault] = []

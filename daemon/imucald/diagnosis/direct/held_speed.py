@@ -1,10 +1,10 @@
 """Find a speed signal that is constant although the inertial sensors show that the speed changes.
 
 The speed is predicted from accelerometer and gyroscope. The residual contains noise and the effect
-of the road. Its size is about the same throughout a drive. If the speed signal repeats an old
-value, the residual is as large as the hidden change of speed. The mount is not known here. The
-relation between the speed and the three axes is therefore fitted to the drive. The fit includes the
-rotation of gravity, which is computed from the gyroscope.
+of the road. The size of this residual is about the same throughout a drive. If the speed signal
+repeats an old value, the residual is as large as the hidden change of speed. The mount is not known
+here. The relation between the speed and the three axes is therefore fitted to the drive. The fit
+includes the rotation of gravity, which is computed from the gyroscope.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@ A road shakes all axes of a sensor. The first test uses the size of one axis's c
 ... samples, relative to the other axes. This ratio depends on vehicle and sensor, so it is the same
 in two drives. A model file contains the medians over the segments of its drives, along the
 vehicle's axes. The other tests use the fact that small changes are more common than large changes
-in every signal. This is also true relative to the changes just before and after.
+in every signal. Small changes are also more common if each change is divided by the changes just
+before and after it.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ class VehicleMotion:
         return self.held(self._mean_slopes(x))
 
     def _gravity(self) -> tuple[Complex, Complex]:
-        """Return u (N,) for z0 = 0, and e^(-i psi) (N,), which is the factor of z0. Both are
+        """Return u (N,) for z0 = 0, and e^(-i psi) (N,), which is the factor of z0. Both arrays are
         complex and computed block by block."""
         assert self.rate is not None
         p, q, r = self.rate

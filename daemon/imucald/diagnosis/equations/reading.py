@@ -40,8 +40,8 @@ class Reference:
     """Measured sideways force minus speed times yaw rate (N,): the force that makes the vehicle
     lean."""
     rate: Array | None = None
-    """Angular rate (N, 3). Its vertical component is the vehicle's own yaw rate if there is such a
-    signal."""
+    """Angular rate (N, 3). The vertical component of the angular rate is the vehicle's own yaw rate
+    if there is such a signal."""
     steered: Array | None = None
     """Yaw rate (N,) from the steering angle."""
 
@@ -64,7 +64,7 @@ class Reader:
         self.reference: Reference | None = None
 
     def forget(self) -> None:
-        """Delete the signals to free memory. They are read again when needed."""
+        """Delete the signals to free memory. The signals are read again when needed."""
         self._read.clear()
         self.known.clear()
         self.reference = None

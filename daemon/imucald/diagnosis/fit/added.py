@@ -79,8 +79,8 @@ def _columns(
 
 def whitened(parts: Mapping[str, AddedRows], x: Array) -> dict[str, Array]:
     """Return, by equation, the residual, the catalogue's columns and the added columns for all
-    blocks (B, K, 1 + P + E). All are divided by the noise, and the effect of each block's tilt is
-    removed. x: (B, P) parameter differences that fit each block."""
+    blocks (B, K, 1 + P + E). All columns are divided by the noise, and the effect of each block's
+    tilt is removed. x: (B, P) parameter differences that fit each block."""
     rows = {n: joined([r for r, _ in own]) for n, own in parts.items()}
     columns = {n: np.concatenate([c for _, c in own]) for n, own in parts.items()}
     whole = {n: np.concatenate([r.y[:, :, None], r.X, columns[n]], axis=2) for n, r in rows.items()}

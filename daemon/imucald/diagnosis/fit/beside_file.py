@@ -42,8 +42,9 @@ class FamilyRow:
     limit: float
     """Largest difference of the logarithms between two correct drives."""
     words: Callable[[float, float], str]
-    """Function that makes the reported text. Its arguments are the value that half of the segments
-    reach, and the logarithm of the ratio of this value to the value of the model file."""
+    """Function that makes the reported text. The arguments of this function are the value that half
+    of the segments reach, and the logarithm of the ratio of this value to the value of the model
+    file."""
     start: float = 0.0
     """Difference of the logarithms beyond which the chance is computed."""
     either_way: bool = False

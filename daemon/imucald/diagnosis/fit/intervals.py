@@ -57,7 +57,7 @@ def estimate(
     """Return value and standard deviation of a hypothesis's parameters. The other parameters are
     free within their box.
 
-    null: the same problem with the box of correct model files. It is needed if the model has
+    null: the same problem with the box of correct model files. `null` is needed if the model has
     already left this box.
     """
     gram, low, high = problem.widened(h)
@@ -124,8 +124,9 @@ def ridge(H: Array) -> Array:
 
 
 def scatters(score: Array, fitted: int) -> tuple[Array, Array]:
-    """Return two scatter matrices (P, P) of the blocks' scores (B, P). The first treats blocks as
-    independent. The second includes the neighbouring block, for effects longer than a block.
+    """Return two scatter matrices (P, P) of the blocks' scores (B, P). The first matrix treats
+    blocks as independent. The second matrix includes the correlation with the neighbouring block,
+    for effects longer than a block.
     fitted: number of parameters fitted to the blocks."""
     B = len(score)
     alone = score.T @ score * (B / max(B - fitted, 1))

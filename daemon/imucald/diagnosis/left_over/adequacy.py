@@ -1,8 +1,8 @@
 """Test the residuals after the search, without a known cause.
 
-There are four tests. They find a residual that is too large, a common motion in the residuals of
-two equations without a common sensor, a line in a spectrum, and signals with the opposite sign of
-their prediction.
+The four tests find a residual that is too large, a common motion in the residuals of two equations
+without a common sensor, a line in a spectrum, and signals with the opposite sign of their
+prediction.
 """
 
 from __future__ import annotations

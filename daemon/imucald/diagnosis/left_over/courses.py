@@ -34,7 +34,8 @@ ASKED = ("bias", "scale", "offset")
 are not tested, nor are the lever arm and the springs. These parameters absorb errors of the tyre
 equations, which depend on the speed in every drive."""
 DELAY = "speed.delay_s"
-"""Delay that is tested for a step. Its linear growth (two clocks) is a cause of the catalogue."""
+"""Delay that is tested for a step. A linear growth of the delay (two clocks) is a cause of the
+catalogue."""
 LAGS = (1, 2, 3)
 """Numbers of neighbouring segments, half a minute to a minute and a half: longer than a manoeuvre.
 The duration of an effect is not known, so each number is tested."""
@@ -93,7 +94,8 @@ def drift_of(problem: Problem, state: State) -> Hypothesis | None:
 
 def courses(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
     """Return the questions about zero errors, gains and the delay of the speed that change during
-    the drives. drift: a named drift, which has no place in the model file; it is fitted too."""
+    the drives. drift: a named drift, which has no place in the model file and is therefore fitted
+    here."""
     if problem.table.blocks < LEAST_BLOCKS:
         return []
     return [*by_course(problem, drift), *gains_apart(problem, state, drift)]

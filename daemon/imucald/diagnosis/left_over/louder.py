@@ -128,7 +128,7 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     limit used here, more than one segment in fifteen exceeds the limit with a chance of 1 %
     (binomial). In addition, a segment may contain the effect of parameters that are wrong by their
     tolerances. A single segment in fifteen must not decide the result. drift: a named drift, which
-    has no place in the model file; it is fitted too.
+    has no place in the model file and is therefore fitted here.
     """
     table, z = problem.table, what_leaves(problem, drift)
     found: list[Structure] = []

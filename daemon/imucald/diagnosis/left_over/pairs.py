@@ -330,8 +330,9 @@ def _test(u: Array, h: Array) -> PairTest:
     """Return the result of one question. u, h: (B, PARTS) slope and curvature of the loss.
 
     One standard deviation is computed from scatter, either between parts of segments or between
-    segments; the larger one is used. Its degrees of freedom are the effective number of parts or
-    segments. A second standard deviation is computed from the noise of all rows.
+    segments; the larger one is used. The degrees of freedom of this standard deviation are the
+    effective number of parts or segments. A second standard deviation is computed from the noise of
+    all rows.
     """
     information = float(h.sum())
     value = float(u.sum()) / information
@@ -360,8 +361,8 @@ def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
 
 
 def conditions(f: Forward) -> dict[str, Array]:
-    """Return the conditions (N,) by name. Each is scaled from -0.5 at the 5th percentile to 0.5 at
-    the 95th percentile of the rows in motion."""
+    """Return the conditions (N,) by name. Each condition is scaled from -0.5 at the 5th percentile
+    to 0.5 at the 95th percentile of the rows in motion."""
     v = f.amount_of_speed()
     moves = v > STANDING_MPS
     if not moves.any():

@@ -59,13 +59,13 @@ class State:
     doubtful: list[Trial] = field(default_factory=list)
     """Causes that were first named and later withdrawn."""
     last: list[Trial] = field(default_factory=list)
-    """All trials except the findings. They show the possible size of each cause."""
+    """All trials except the findings. These trials show the possible size of each cause."""
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
     """A shift of the mount that was withdrawn."""
     unstated: tuple[str, ...] = ()
-    """Parameters for which the model file allows every plausible value. They are estimated, and do
-    not count as causes."""
+    """Parameters for which the model file allows every plausible value. These parameters are
+    estimated, and do not count as causes."""
     left_out: frozenset[str] = frozenset()
     """Equations that no fit uses, because their residuals are unexplained."""
     table: Table | None = None
@@ -78,7 +78,8 @@ class State:
 
     @property
     def free(self) -> list[str]:
-        """Parameters that were found to be wrong. They are fitted with all others."""
+        """Parameters that were found to be wrong. These parameters are fitted together with all
+        other parameters."""
         return [key for key in self.changes if key not in self.held]
 
     @property

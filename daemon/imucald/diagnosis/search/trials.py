@@ -259,8 +259,8 @@ def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
 
 
 def likeliest(trials: Sequence[Trial]) -> list[Trial]:
-    """Return the causes of which at most one in five is expected to be false. This is over all
-    questions together, with each cause tested against all rivals.
+    """Return the causes of which at most one in five is expected to be false. The share of false
+    causes is counted over all questions together. Each cause is tested against all rivals.
 
     A likelihood ratio on unseen data is an e-value. If the k largest of M values exceed M/(k
     share), at most this share of them is false, for any dependence between the values (e-BH; Wang

@@ -45,9 +45,9 @@ class WanderingOffset:
     """Exponentially fading mean of the force and of (dv/dt, v r) over straight motion.
 
     Slope, bank and bias wander slowly. The mean force is subtracted from the force, and the mean
-    motion is subtracted from the motion. This removes slope, bank and bias, and keeps the relation
-    between force and motion. tau: time constant [s]; 0: nothing is subtracted. without_speed:
-    smallest time constant while dv/dt is not known [s].
+    motion is subtracted from the motion. The subtraction removes slope, bank and bias, and keeps
+    the relation between force and motion. tau: time constant [s]; 0: nothing is subtracted.
+    without_speed: smallest time constant while dv/dt is not known [s].
     """
 
     def __init__(self, tau: float, without_speed: float = OFFSET_LOST_SPEED_S) -> None:

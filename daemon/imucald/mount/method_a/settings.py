@@ -60,8 +60,8 @@ class PublishedSettings(MountSettings, frozen=True):
     slope_std: float = math.radians(1.3)
     """Spread of road slope between stops, per axis [rad]; measured: 0.7-3 deg."""
     planar: bool = False
-    """True if the accelerometer has two axes only. It then counts as level, and gravity is used as
-    z."""
+    """True if the accelerometer has two axes only. Such an accelerometer is assumed to be level,
+    and gravity is used as its z value."""
     level_std: float = math.radians(1.5)
     """Deviation from level of an accelerometer that counts as level [rad]."""
     level_without_stop_after: float = 120.0

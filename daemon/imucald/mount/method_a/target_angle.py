@@ -40,7 +40,8 @@ A manoeuvre that disagrees then widens the interval to a limited extent.
 """
 MIN_AGREEMENT = 0.6
 """Smallest resultant of manoeuvres that agree. Below this value, the manoeuvres contradict each
-other, for example because some of them are turns. Their spread about the mean is then meaningless.
+other, for example because some of them are turns. The spread of such manoeuvres about the mean is
+meaningless.
 """
 TWO_MINDS_STD = math.radians(45.0)
 FLOOR_STD = math.radians(0.15)
