@@ -1,1 +1,2 @@
-"""Attitude of the vehicle: acceleration correction (method B) and nine-state filter (method C)."""
+"""Attitude of the vehicle: method B (motion compensation of the accelerometer) and method C
+(nine-state filter)."""

@@ -1,10 +1,10 @@
 """Roll and pitch from both corrected triads (method B, claim 1, last step).
 
-The corrected rate carries the vertical from sample to sample. The vertical that the corrected
-acceleration shows (claims 2 and 3: less the deflections) pulls it to itself with a time constant.
-This is a complementary filter on the vertical, as in Mahony, Hamel and Pflimlin, IEEE Trans.
-Automatic Control 53, 2008. The publication says "attitude solution" and names no filter:
-*reconstructed*.
+The vertical is integrated with the corrected rate from sample to sample. The integrated vertical is
+corrected with a time constant towards the vertical of the corrected acceleration (claims 2 and 3:
+without the deflections). This algorithm is a complementary filter on the vertical, as in Mahony,
+Hamel and Pflimlin, IEEE Trans. Automatic Control 53, 2008. The publication says "attitude solution"
+and names no filter, so the filter is *reconstructed*.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from imucald.core.rotations import Vector, quaternion_from_vector, rows_from_qua
 
 
 def vertical(pitch: float, roll: float) -> Vector:
-    """Unit vector up in axes right, forward, up; pitch nose up, roll right side down [rad]."""
+    """Return the unit vector up in axes right, forward, up. pitch: nose up [rad]. roll: right side
+    down [rad]."""
     level = math.cos(pitch)
     return -level * math.sin(roll), math.sin(pitch), level * math.cos(roll)
 
@@ -23,7 +24,8 @@ def vertical(pitch: float, roll: float) -> Vector:
 class CarriedAngles:
     """The vertical in body axes (right, forward, up).
 
-    time: time constant of the pull [s]; longest_step: rates further apart are a gap [s].
+    time: time constant of the correction towards the acceleration [s]. longest_step: largest time
+    between two rates [s]; a longer time is a gap.
     """
 
     def __init__(self, time: float, longest_step: float) -> None:
@@ -39,8 +41,8 @@ class CarriedAngles:
         self._age = 0.0
 
     def turn(self, t: float, rate: Vector) -> None:
-        """Take a corrected rate [rad/s] at t [s]; the mean of two successive rates turns the
-        body.
+        """Take a corrected rate [rad/s] at t [s]. The body is rotated by the mean of two successive
+        rates.
         """
         dt, last = t - self._t, self._rate
         self._t, self._rate = t, rate
@@ -54,7 +56,7 @@ class CarriedAngles:
         self._up = times(rows_from_quaternion(turned), self._up)
 
     def draw(self, t: float, pitch: float, roll: float) -> None:
-        """Take pitch and roll of the corrected acceleration at t [s]."""
+        """Take pitch and roll from the corrected acceleration at t [s]."""
         seen = vertical(pitch, roll)
         dt, self._t_force = t - self._t_force, t
         if self._up is None:

@@ -1,7 +1,8 @@
 """Method B alone, with the interface of the filter: corrected samples in, roll and pitch out.
 
-The angles come directly from the force less motion, with its noise, and have no memory besides that
-of method B. The result serves for comparison, and for users who filter themselves.
+By default, the angles are computed directly from the force minus motion. The angles contain the
+noise of the force and have no memory except the memory of method B. The result is for comparison,
+and for users with a filter of their own.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ NAN = math.nan
 
 
 class CompensatedAttitude:
-    """Takes samples in vehicle axes (ISO 8855), SI units, stream time."""
+    """Takes samples in vehicle axes (ISO 8855), SI units, with stream time."""
 
     def __init__(self, settings: AttitudeSettings | None = None) -> None:
         self.settings = settings or AttitudeSettings()
         self.motion_compensation = MotionCompensation(self.settings.compensation)
         self.checked = False
-        """True if the gyroscope's zero error has been measured at rest."""
+        """True if the gyroscope's zero error was measured at rest."""
         self._rest = RestingGyro(self.settings.filter)
         self._lost_time = LostTime()
         self._carried = CarriedAngles(
@@ -38,7 +39,7 @@ class CompensatedAttitude:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything but the zero error."""
+        """Forget everything except the zero error."""
         self.motion_compensation.restart()
         self._sign = 1.0
         self._rate: Vector | None = None
@@ -62,13 +63,13 @@ class CompensatedAttitude:
 
     @property
     def check(self) -> CheckResult | None:
-        """Zero error from the last rest, vehicle axes; None before the first."""
+        """Zero error from the last rest, in vehicle axes; None before the first rest."""
         if not self.checked:
             return None
         return CheckResult(vehicle_from_rfu(*self.motion_compensation.zero_error), (0.0, 0.0, 0.0))
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take the result of an earlier check, vehicle axes; the next rest renews it."""
+        """Take the result of an earlier check, in vehicle axes. The next rest replaces it."""
         self.motion_compensation.zero_error = rfu_from_vehicle(*found.rate)
         self.checked = True
 
@@ -102,35 +103,37 @@ class CompensatedAttitude:
                 self.motion_compensation.angles = angles
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative; `reverse` gives the direction."""
+        """Take a speed [m/s], not negative. `reverse` sets the direction."""
         self.motion_compensation.speed(t, self._sign * speed)
         if speed > 0.0:
             self._rest.begin()
 
     def reverse(self, is_reverse: bool) -> None:
-        """Say whether the vehicle drives backwards."""
+        """Set whether the vehicle drives backwards."""
         self._sign = -1.0 if is_reverse else 1.0
 
     def heading(self, t: float, heading: float) -> None:
-        """Ignore a heading: B has none."""
+        """Ignore a heading: method B has no heading."""
 
     def mag(self, t: float, values: Sequence[float]) -> None:
-        """Ignore a magnetic field: B has no heading."""
+        """Ignore a magnetic field: method B has no heading."""
 
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
-        """Note that the mount's rotation has changed; no state depends on it."""
+        """Note that the rotation of the mount has changed. No state depends on this rotation."""
 
     def take_zeros_off(self, rate: Vector, force: Vector) -> None:
-        """Subtract this much more from the samples from now on, vehicle axes (3,) [rad/s], [m/s^2].
+        """Take the additional zero errors that are subtracted from the samples from now on, vehicle
+        axes (3,) [rad/s], [m/s^2].
 
-        The zero error of the rate is reduced by it, if a rest has shown a zero error.
+        The zero error of the rate is reduced by the same value, if a rest has already shown a zero
+        error.
         """
         if self.checked:
             (x, y, z), (p, q, r) = self.motion_compensation.zero_error, rfu_from_vehicle(*rate)
             self.motion_compensation.zero_error = x - p, y - q, z - r
 
     def estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """Return roll and pitch of the newest sample, without deviations or a heading."""
+        """Return roll and pitch at the newest sample, without deviations and without a heading."""
         last = self._last
         stale = now is not None and now - min(self._t, self._t_gyro) > STALE_S
         b = self.motion_compensation.zero_error

@@ -1,4 +1,4 @@
-"""Ends of intervals: at averaged speeds, or by time where there is no speed."""
+"""Ends of intervals: at averaged speeds, or after a fixed time if there is no speed."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from imucald.attitude.propagation import IntegralSnapshot, Propagator
 from imucald.config.attitude import MotionCompensationSettings
 
 MAX_ENDPOINTS = 64
-"""Averaged speeds that can wait for the accelerometer: a speed that leads is ahead by a second."""
+"""Largest number of averaged speeds that wait for the accelerometer. A speed that leads is ahead of
+the accelerometer by up to a second."""
 RECENT_S = 1.0
-"""A speed is extrapolated with its change in this time [s], or since the previous one."""
+"""Time over which the change of the speed is computed for an extrapolation [s]. If the previous
+speed is older, the change since the previous speed is used."""
 SLACK_S = 1e-6
-"""Rounding difference between times that are a second apart [s]."""
+"""Rounding error of times that are a second apart [s]."""
 
 
 class EndpointMaker:
     """Makes pairs of endpoints from samples. Each pair is an interval between two averaged
-    speeds.
-    """
+    speeds."""
 
     def __init__(self, settings: MotionCompensationSettings, propagator: Propagator) -> None:
         self._settings = settings
@@ -39,11 +40,12 @@ class EndpointMaker:
         self._recent: deque[AverageSpeed] = deque(maxlen=MAX_ENDPOINTS)
         self._piece: IntegralSnapshot | None = None
         self.has_pieces = False
-        """True if pieces were taken within the open interval or the one that has just closed."""
+        """True if `piece` returned pieces within the open interval, or within the interval that has
+        just closed."""
         self._sign = 1.0
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative, that came at t [s]."""
+        """Take a speed [m/s], not negative, that was received at t [s]."""
         self._heard = t
         average = self._average.add_speed(t, self._sign * speed)
         recent = self._recent
@@ -57,13 +59,13 @@ class EndpointMaker:
             self._waiting.append(average)
 
     def reverse(self, is_reverse: bool) -> None:
-        """Say whether the vehicle drives backwards."""
+        """Set whether the vehicle drives backwards."""
         self._sign = -1.0 if is_reverse else 1.0
 
     def complete(self) -> Iterator[tuple[Endpoint | None, Endpoint]]:
-        """Return beginning and end of the intervals that are complete.
+        """Yield begin and end of the intervals that are complete.
 
-        The first endpoint after a restart has no beginning: an interval begins there.
+        The first endpoint after a restart has no begin: the first interval starts there.
         """
         newest = self._propagator.newest
         if newest is None:
@@ -84,11 +86,12 @@ class EndpointMaker:
                 yield self._next(Endpoint(snapshot, average.speed))
 
     def piece(self) -> tuple[Endpoint, Endpoint] | None:
-        """Return both ends of a piece of an interval's length up to now; None: no piece is
+        """Return both ends of a piece of the interval's length that ends now; None: no piece is
         complete.
 
-        Pieces are made if at least two fit between two speeds. The speed at both ends is the latest
-        one, extrapolated with its change in the second before, and has an age.
+        Pieces are made if at least two of them fit between two speeds. The speed at both ends is
+        the latest speed, extrapolated with its change in the second before. The endpoints also
+        contain the age of the latest speed.
         """
         newest, recent = self._propagator.newest, self._recent
         if newest is None or newest.t - self._heard > self._settings.timeout:

@@ -1,4 +1,4 @@
-"""Result of methods B and C: the attitude, its uncertainty, its state."""
+"""Result of methods B and C: the attitude, its uncertainty, and its state."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from imucald.core.rotations import Vector
 
 SETTLED_STD = math.radians(1.5)
-"""Deviation of the tilt below which it is published as settled [rad]."""
+"""Deviation of the tilt below which the attitude is settled [rad]."""
 STALE_S = 1.0
-"""Without gyroscope or accelerometer for this long, the attitude is not available [s]."""
+"""Time without gyroscope or accelerometer after which the attitude is not available [s]."""
 UNKNOWN: Vector = (math.nan, math.nan, math.nan)
-"""An unknown vector."""
+"""A vector that is not known."""
 
 
 class AttitudeState(enum.IntEnum):
-    """State of the attitude; the numbers are those on the bus."""
+    """State of the attitude. The numbers are also sent on the bus."""
 
     NOT_AVAILABLE = 0
     STARTING = 1
@@ -29,13 +29,13 @@ class AttitudeState(enum.IntEnum):
 
 @dataclass(frozen=True)
 class AttitudeEstimate:
-    """The attitude at the newest gyroscope sample; vehicle axes, radians; NaN if not known.
+    """The attitude at the newest gyroscope sample, in vehicle axes [rad]; NaN if not known.
 
-    roll (left side up), pitch (nose down), heading (clockwise from north, or from the start where
-    `state` says so), and std of the three. rate: (x, y, z) without bias [rad/s], with rate_std.
-    grade: slope of the road, tangent, positive uphill. bias: found so far [rad/s].
-    free_acceleration: specific force less that of motion, gravity and error (method B) [m/s^2], if
-    requested.
+    roll: left side up. pitch: nose down. heading: clockwise, from north, or from the start of the
+    drive with the state RELATIVE_HEADING. std: deviations of roll, pitch and heading. rate: (x, y,
+    z) without bias [rad/s]; rate_std: its deviations. grade: slope of the road, tangent, positive
+    uphill. bias: estimated bias of the gyroscope [rad/s]. free_acceleration: specific force without
+    the effect of motion (method B) [m/s^2], if requested.
     """
 
     state: AttitudeState

@@ -1,9 +1,9 @@
 """Methods B and C together: corrected samples in, attitude with its uncertainty out.
 
-Order of one run: the start (5 s of rest, or of motion if the vehicle does not stand), then the
-attitude by gyroscope at every sample. The filter runs at the end of every interval between two
-average speeds. After 30 s of rest, the sensor check runs once. Pure: no I/O, no clock; samples one
-by one.
+A run begins with the start: 5 s of rest, or 5 s of motion if the vehicle does not stand. After the
+start, the gyroscope updates the attitude at every sample. The filter runs at the end of every
+interval between two average speeds. After 30 s of rest, the sensor check runs once. The filter does
+no I/O and reads no clock. The filter takes the samples one by one.
 """
 
 from __future__ import annotations
@@ -56,70 +56,73 @@ from imucald.motion.lost_time import LostTime
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
-"""Tilt error that is assumed at the start.
+"""Assumed deviation of the tilt at the start [rad], at rest and in motion.
 
-The deviation is so large that the first interval counts its result as tilt, and not as an
-accelerometer error that would be forgotten slowly.
+The deviation is so large that the first interval corrects the tilt. With a small deviation, the
+difference would be taken as an accelerometer error, which is forgotten slowly.
 """
 UNSEEN_YAW_RATE = 0.8
 """Standard deviation of a yaw rate without measurement [rad/s].
 
-Tyres hold 1 g and cars turn within circles of 10 m. The rate is therefore at most sqrt(g / 5 m) =
-1.4 rad/s, uniformly distributed.
+The grip of tyres is 1 g, and cars can drive on circles of 10 m diameter. The rate is therefore at
+most sqrt(g / 5 m) = 1.4 rad/s. A uniform distribution up to this rate is assumed.
 """
 UNSEEN_CHANGE = 0.7
 """Random walk of the rate between two samples [rad/s per root of a second]: 0.5 rad/s in half a
 second, as in a double lane change (ISO 3888-1).
 """
 BRIDGED_S = 0.1
-"""Longest time without a sample for which the line between two samples is off by at most 0.4 deg
-[s].
+"""Longest time without a sample for which a straight line between two rates causes an error of at
+most 0.4 deg [s].
 """
 UNSEEN_TILT_STD = START_MOVING_STD
-"""Deviation of roll and pitch after less than `STALE_S` without a gyroscope [rad].
+"""Deviation of roll and pitch after a gap of the gyroscope shorter than `STALE_S` [rad].
 
-Ramps, kerbs and swerves turn a body by less than 20 deg/s about level axes. The first interval
-afterwards must also count its result as tilt.
+Ramps, kerbs and swerves turn a body by less than 20 deg/s about the level axes. After the gap, the
+first interval must correct the tilt and not the accelerometer error.
 """
 SCATTER_S = 1.0
-"""The scatter of the samples is computed over at least this time, where intervals are shorter
-[s].
+"""Shortest time over which the scatter of the samples is computed [s], also if the intervals are
+shorter.
 """
 HEADING_KNOWN_STD = math.radians(20.0)
-"""A heading with a larger deviation is not called a heading [rad]."""
+"""Deviation of a heading above which the heading counts as not known [rad]."""
 HEADING_FOUND_STD = 1.0
-"""A heading with a larger deviation is replaced by the source's, because any source knows better
-[rad].
+"""Deviation of a heading above which the heading of the source replaces it [rad], because any
+source is more accurate.
 """
 ROLLS_ON_S = 2.0
-"""Time in which gentle brakes end a speed below walking pace, 1 m/s, that the signal may show as
-zero [s].
+"""Time in which gentle braking stops a vehicle from 1 m/s [s]. Below this speed, the speed signal
+may be zero.
 """
 HEADING_LATE_S = 1.0
-"""Largest age of a heading [s]: those of satellites are half a second old and more."""
+"""Largest age of a heading [s]. Headings from satellite receivers are half a second old and
+more."""
 HEADING_SPACING_S = 0.5
-"""Shortest time between headings that are used [s]."""
+"""Shortest time between two headings that are used [s]."""
 HEADING_ERRORS_S = 60.0
-"""Duration of an error of a source; all headings within it count as one [s].
+"""Duration of an error of a heading source [s]. All headings within this time together count as one
+heading.
 
-A fused heading drifts, and steel near the road persists. Rests therefore have more weight in the
-gyroscope's zero error.
+A fused heading drifts, and the effect of steel near the road persists. Rests therefore have more
+weight than headings in the estimate of the gyroscope's zero error.
 """
 
 
 class AttitudeFilter:
-    """Takes samples in vehicle axes (ISO 8855), SI units, stream time; see `AttitudeSettings`."""
+    """Takes samples in vehicle axes (ISO 8855), SI units, with stream time. The settings are
+    `AttitudeSettings`."""
 
     def __init__(self, settings: AttitudeSettings | None = None) -> None:
         self.settings = settings or AttitudeSettings()
         compensation, of_filter = self.settings.compensation, self.settings.filter
         self.kalman = NineStateFilter(of_filter)
         self.constant_bias: Vector = (0.0, 0.0, 0.0)
-        """bs of the publication [rad/s], right-forward-up axes."""
+        """Constant gyroscope error bs of the publication [rad/s], right-forward-up axes."""
         self.constant_accel_error: Vector = (0.0, 0.0, 0.0)
-        """ds of the publication [m/s^2], right-forward-up axes."""
+        """Constant accelerometer error ds of the publication [m/s^2], right-forward-up axes."""
         self.checked = False
-        """True if the sensor check has been made."""
+        """True if the sensor check was made."""
         self._check_is_restored = False  # since then the gyroscope has been off, or has warmed up
         self._propagator = Propagator(
             of_filter.longest_step, rfu_from_vehicle(*compensation.lever_arm)
@@ -140,12 +143,13 @@ class AttitudeFilter:
     # verbs -----------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forget the attitude, because the mount is not known any more."""
+        """Forget the attitude, because the mount is no longer known."""
         self._forget_attitude()
         self.gap()
 
     def gap(self) -> None:
-        """Note a jump of time: no value from before may be differenced with a later one."""
+        """Note a jump of time: no difference is taken between values before the jump and values
+        after it."""
         self._restart()
         self._endpoints.restart()
         self._sign = 1.0
@@ -158,12 +162,12 @@ class AttitudeFilter:
         self._propagator.q = IDENTITY
         self._source.restart()
         self._net_turn = self._heading_before = 0.0
-        """Total turn to the right since the heading began [rad], and the heading up to which it
-        counts.
+        """Total turn to the right since the heading began [rad], and the heading at the last update
+        of this turn [rad].
         """
 
     def _restart(self) -> None:
-        """Restart: earlier measurements are not joined with later ones, except speeds."""
+        """Restart: earlier measurements are not joined with later measurements, except speeds."""
         self._propagator.restart()
         self._start: Endpoint | None = None
         self._rest: Endpoint | None = None
@@ -192,11 +196,11 @@ class AttitudeFilter:
             self._update(shared(self._interval(*piece)), None)
 
     def _turned_unseen(self, seconds: float) -> None:
-        """Note that the vehicle turned unmeasured for this time [s]; the attitude is older.
+        """Note that the turn rate was not measured for this time [s].
 
-        If the attitude was not available meanwhile, it restarts. A heading that counts from the
-        start also restarts. After a shorter time the attitude continues, and its deviation
-        contains the possible turn.
+        After a long time, the attitude restarts. A heading that counts from the start also
+        restarts. After a time of up to `STALE_S`, the attitude continues, and its deviation is
+        enlarged by the possible turn.
         """
         if self.running and seconds <= max(STALE_S, self.settings.filter.longest_step):
             self._propagator.restart()
@@ -208,10 +212,10 @@ class AttitudeFilter:
             self._restart()
 
     def _bridged(self, seconds: float) -> None:
-        """Add the error of the line between two samples so far apart [s].
+        """Add the error of a straight line between two rates with this time between them [s].
 
-        The integral of a rate that walks by q per second differs from the line's by q T^3 / 12
-        (variance).
+        The integral of a rate with a random walk of q per second differs from the integral of the
+        line by a variance of q T^3 / 12.
         """
         std = UNSEEN_CHANGE * math.sqrt(seconds**3 / 12.0)
         self.kalman.turned_unseen(std, std)
@@ -228,23 +232,23 @@ class AttitudeFilter:
             self._free = vehicle_from_rfu(*found.force) if found.known else UNKNOWN
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative; `reverse` gives the direction."""
+        """Take a speed [m/s], not negative. `reverse` sets the direction."""
         self._endpoints.speed(t, speed)
         if self._motion is not None:
             self._motion.speed(t, self._sign * speed)
 
     def reverse(self, is_reverse: bool) -> None:
-        """Say whether the vehicle drives backwards."""
+        """Set whether the vehicle drives backwards."""
         self._endpoints.reverse(is_reverse)
         self._sign = -1.0 if is_reverse else 1.0
 
     def heading(self, t: float, heading: float) -> None:
-        """Take a heading, clockwise from north [rad]."""
+        """Take a heading [rad], clockwise from north."""
         if self.settings.filter.heading == "signal" and self.running:
             self._take_heading(t, heading)
 
     def mag(self, t: float, values: Sequence[float]) -> None:
-        """Take a magnetic field in vehicle axes [T]; its level part points north."""
+        """Take a magnetic field in vehicle axes [T]. The level part of the field points north."""
         if self.settings.filter.heading != "magnetometer" or not self.running:
             return
         m = rfu_from_vehicle(values[0], values[1], values[2])
@@ -256,10 +260,10 @@ class AttitudeFilter:
             self._take_heading(t, measured)
 
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
-        """Note that the mount's rotation (9 numbers, row by row) changes from here on.
+        """Note that the rotation of the mount (9 numbers, row by row) changes from now on.
 
-        The sensor has not moved. Take a better mount: the vehicle's axes turn relative to the
-        sensor.
+        The sensor has not moved. The new mount is only more accurate, so the vehicle's axes rotate
+        relative to the sensor.
         """
         before, after = np.array(old).reshape(3, 3), np.array(new).reshape(3, 3)
         A = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # text from vehicle
@@ -270,10 +274,12 @@ class AttitudeFilter:
         self.constant_accel_error = matrix_times(D_new_from_old, self.constant_accel_error)
 
     def take_zeros_off(self, rate: Vector, force: Vector) -> None:
-        """Subtract this much more from the samples from now on, vehicle axes (3,) [rad/s], [m/s^2].
+        """Take the additional zero errors that are subtracted from the samples from now on, vehicle
+        axes (3,) [rad/s], [m/s^2].
 
-        The zero error of the rate is tracked and is reduced by it. The zero error of the force is
-        known only from a check. Without a check, the subtraction improves the force.
+        The zero error of the rate is estimated, so the estimate is reduced by the same value. The
+        zero error of the force is known only from a sensor check, and is then reduced too. Without
+        a check, the subtraction makes the force more accurate.
         """
         p, q, r = rfu_from_vehicle(*rate)
         x, y, z = self.constant_bias
@@ -290,14 +296,14 @@ class AttitudeFilter:
 
     @property
     def heading_is_doubted(self) -> bool:
-        """True if the source of heading contradicts the gyroscope, or did so and is not accepted
-        again.
+        """True if the heading source contradicts the gyroscope, or has contradicted it and is not
+        yet accepted again.
         """
         return self._source.doubt > 0.0
 
     @property
     def check(self) -> CheckResult | None:
-        """Result of the sensor check, vehicle axes; None before it."""
+        """Result of the sensor check, in vehicle axes; None before the check."""
         if not self.checked:
             return None
         return CheckResult(
@@ -305,7 +311,7 @@ class AttitudeFilter:
         )
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take the result of an earlier check, vehicle axes, in place of an own check."""
+        """Take the result of an earlier sensor check, in vehicle axes, in place of a new check."""
         self.constant_bias = rfu_from_vehicle(*found.rate)
         self.constant_accel_error = rfu_from_vehicle(*found.force)
         self.checked = self._check_is_restored = True
@@ -313,7 +319,7 @@ class AttitudeFilter:
     # result ----------------------------------------------------------------------------------
 
     def state(self, now: float | None = None) -> AttitudeState:
-        """The state at stream time now [s]."""
+        """Return the state at stream time `now` [s]."""
         t = self._propagator.t
         if now is not None and now - min(t, self._accel_seen) > STALE_S:
             return AttitudeState.NOT_AVAILABLE
@@ -330,8 +336,8 @@ class AttitudeFilter:
         return AttitudeState.RELATIVE_HEADING
 
     def estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """Return the attitude at the newest gyroscope sample; state and deviations are for
-        `now`.
+        """Return the attitude at the newest gyroscope sample. The state and the deviations are
+        valid for the time `now`.
         """
         C = self._C()
         kalman = self.kalman
@@ -365,8 +371,8 @@ class AttitudeFilter:
         )
 
     def _unseen(self, now: float | None) -> float:
-        """Return the time without any measurement of a turn [s]; 0 within the gyroscope's longest
-        step.
+        """Return the time for which no turn rate was measured [s]; 0 within the longest step of the
+        gyroscope.
         """
         silent = 0.0 if now is None else now - self._propagator.t
         if self.settings.filter.longest_step < silent < math.inf:
@@ -374,20 +380,20 @@ class AttitudeFilter:
         return self._lost_time.standing
 
     def _heading_std(self) -> float:
-        """Return the deviation of the gyroscope's heading [rad]: its gain has the same relative
-        error in all turns.
+        """Return the deviation of the gyroscope's heading [rad]. The gain error of the gyroscope
+        has the same relative effect on all turns.
         """
         of_gain = self.settings.filter.gyro_gain * self._net_turn
         return math.hypot(math.sqrt(max(float(self.kalman.P[2, 2]), 0.0)), of_gain)
 
     def _stated_heading_std(self) -> float:
-        """Return the deviation of the heading with the source's own error, which more headings do
-        not reduce.
+        """Return the deviation of the heading, including the error of the heading source [rad].
+        Further headings do not reduce the error of the source.
         """
         return math.hypot(self._heading_std(), self._heading_noise, self._source.doubt)
 
     def _C(self) -> Rows:
-        """Return C_nav_from_body: the correction after the gyroscope's matrix."""
+        """Return C_nav_from_body: the product of the correction and the gyroscope's matrix."""
         return rows_from_quaternion(quaternion_product(self._correction, self._propagator.q))
 
     # intervals -------------------------------------------------------------------------------
@@ -410,9 +416,9 @@ class AttitudeFilter:
             self._check(self._rest, endpoint)
 
     def _surely_still(self, found: Interval) -> Interval | None:
-        """Return the previous interval if it was one of rest.
+        """Return the previous interval if it was an interval of rest, else None.
 
-        An interval that has just begun may end with driving off.
+        The present interval is not used, because the vehicle may have started to drive at its end.
         """
         rest, still = self._rest, self._still
         is_over = rest is not None and found.t0 - rest.snapshot.t > ROLLS_ON_S - 1e-6
@@ -459,7 +465,7 @@ class AttitudeFilter:
         self._filter(found, None)
 
     def _filter(self, found: Interval, still: Interval | None) -> None:
-        """Filter an interval between two speeds, and update the road's slope at its end; see
+        """Use an interval between two speeds for the filter and for the road's slope. See
         `_update`.
         """
         if self._endpoints.has_pieces:
@@ -469,9 +475,9 @@ class AttitudeFilter:
         self._grade.take_interval(found, -vehicle_angles(self._C())[1])
 
     def _update(self, found: Interval, still: Interval | None) -> None:
-        """Predict to the end of the interval, then use its measurements.
+        """Predict to the end of the interval, then use the measurements of the interval.
 
-        still: an interval of rest.
+        still: an interval of rest, or None.
         """
         dt = max(found.t1 - self._predicted, 0.0)
         self._predicted = max(found.t1, self._predicted)  # a speed comes after pieces that it is of
@@ -524,7 +530,8 @@ class AttitudeFilter:
         self._correction = quaternion_product(quaternion_from_vector(*error), self._correction)
 
     def _check(self, first: Endpoint, last: Endpoint) -> None:
-        """The sensor check at rest: constant errors of gyroscope and accelerometer."""
+        """Do the sensor check at rest, which gives constant errors of gyroscope and
+        accelerometer."""
         s = self.settings.filter
         if last.snapshot.t - first.snapshot.t < s.check - 1e-6:
             return

@@ -1,4 +1,5 @@
-"""Slope of the road from the body's pitch, without the effect of the suspension, and smoothed."""
+"""Slope of the road, computed from the pitch of the body without the effect of the suspension, and
+smoothed."""
 
 from __future__ import annotations
 
@@ -7,13 +8,15 @@ import math
 from imucald.attitude.interval import Interval
 
 SUSPENSION_STD = math.radians(0.5)
-"""Deviation of the pitch from the springs, where nothing is known of them [rad]."""
+"""Deviation of the pitch from the springs of the suspension [rad], if no data about the springs are
+known."""
 
 
 class GradeFilter:
-    """Road grade, tangent, positive uphill.
+    """Slope of the road, tangent, positive uphill.
 
-    squat: nose-up pitch per forward specific force [rad/(m/s^2)]. time: time constant [s].
+    squat: nose-up pitch per forward specific force [rad/(m/s^2)]. time: time constant of the
+    smoothing [s].
     """
 
     def __init__(self, squat: float, time: float) -> None:
@@ -25,11 +28,11 @@ class GradeFilter:
         """Begin again."""
         self.grade = math.nan
         self.spread = SUSPENSION_STD
-        """Standard deviation in addition to that of the pitch."""
+        """Standard deviation that is added to the deviation of the pitch [rad]."""
         self._angle = math.nan
 
     def take_interval(self, interval: Interval, nose_up: float) -> None:
-        """Take the body's pitch at the end of an interval [rad], nose up positive."""
+        """Take an interval and the pitch of the body at its end [rad], nose up positive."""
         angle = nose_up - self._squat * interval.forward_acceleration
         if math.isnan(self._angle):
             self._angle = angle

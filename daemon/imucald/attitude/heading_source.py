@@ -1,13 +1,14 @@
-"""Decide whether a source of heading may be followed: it is compared with the gyroscope.
+"""Decide whether a heading source may be used, by comparison with the gyroscope.
 
-A difference beyond the gate is not followed, because the gyroscope's heading cannot be that wrong.
-The module cannot decide which of the two is wrong. From `LOST_AFTER` on, the source counts as lost,
-and the heading gets a doubt equal to the largest difference since. A source proves itself if it
-agrees with the gyroscope, up to a constant, for a minute and over a turn. The turn must be one that
-a frozen, mirrored or wrongly scaled source could not have followed. A proved source is followed
-again if it shows the same north as before, or if it had not proved the earlier north. If two
-different norths were both proved, one of them is wrong and nothing shows which, so the doubt stays.
-No I/O, no clock.
+A heading whose difference from the gyroscope exceeds the gate is not used, because the gyroscope's
+heading has a smaller error. The module cannot decide whether the source or the gyroscope is wrong.
+If the difference lasts for `LOST_AFTER`, the source counts as lost. The heading then gets a doubt,
+which is the largest difference since the loss. A source proves itself if it agrees with the
+gyroscope, up to a constant, for a minute and over a turn. The turn must be so large that a frozen,
+mirrored or wrongly scaled source could not have agreed. A proved source is used again in two cases:
+it shows the same north as before, or the earlier north was not proved. If two different norths were
+both proved, one of them is wrong. The wrong north is not known, so the doubt stays. The module does
+no I/O and reads no clock.
 """
 
 from __future__ import annotations
@@ -18,44 +19,44 @@ import math
 from imucald.attitude.right_forward_up import wrapped
 
 LOST_AFTER = 5.0
-"""Outliers are shorter than this [s]: a reflected satellite signal, a steel bridge."""
+"""Duration of a difference after which the source counts as lost [s]. Outliers are shorter: a
+reflected satellite signal, a steel bridge."""
 AGREES_FOR = 60.0
-"""Shortest time in which a source proves itself [s] ..."""
+"""Shortest time in which a source proves itself [s]."""
 TURNED = math.pi / 2.0
-"""... and smallest turn over which it does [rad].
+"""Smallest turn over which a source proves itself [rad].
 
-The turn must also be twice the possible difference of the two.
+The turn must also be twice the possible difference between source and gyroscope.
 """
 LONGEST_STEP = 10.0
-"""After a longer silence the source has to begin its proof again [s]."""
+"""Silence of the source after which its proof begins again [s]."""
 
 
 class Verdict(enum.Enum):
-    """Use of a heading."""
+    """Decision about the use of a heading."""
 
     FOLLOWED = enum.auto()
     REFUSED = enum.auto()
     BEGUN_AGAIN = enum.auto()
-    """The source has proved itself, and the one followed before had not: the heading begins from
-    it.
+    """The source has proved itself, and the earlier north was not proved: the heading begins again
+    from this source.
     """
 
 
 class HeadingSource:
-    """Takes the differences of a source's headings from the gyroscope's, in order of time."""
+    """Takes the differences between a source's headings and the gyroscope's heading, in order of
+    time."""
 
     def __init__(self, gate: float) -> None:
         self._gate = gate
         self._proved = self._is_undecided = False
         self.doubt = 0.0
-        """Largest difference since the source was lost [rad]; 0 while the source may be
-        followed.
-        """
+        """Largest difference since the source was lost [rad]; 0 while the source may be used."""
         self.restart()
 
     def restart(self) -> None:
-        """Restart, because the gyroscope's heading begins again: nothing is proved, and a doubt
-        stays.
+        """Restart, because the gyroscope's heading begins again. The source must then prove itself
+        again, and a doubt stays.
         """
         self._is_undecided |= self.doubt > 0.0 and self._proved
         self._proved = False
@@ -73,12 +74,13 @@ class HeadingSource:
         heading: float,
         is_bend: bool = False,
     ) -> Verdict:
-        """Judge a heading of stream time t [s].
+        """Decide about a heading of stream time t [s].
 
-        difference: source minus gyroscope [rad]; variance: of the gyroscope's heading; noise: of
-        the source [rad^2]; heading: that of the gyroscope [rad]. is_bend: the vehicle turns so fast
-        that the delay of a heading exceeds the source's own noise. In a bend a heading can
-        contradict, but it proves nothing and is not followed.
+        difference: source minus gyroscope [rad]. variance: variance of the gyroscope's heading
+        [rad^2]. noise: variance of the source [rad^2]. heading: heading of the gyroscope [rad].
+        is_bend: the vehicle turns so fast that the delay of the heading causes a larger error than
+        the noise of the source. In a bend, a heading can contradict the gyroscope, but it is
+        neither a proof nor used.
         """
         if t - self._t > LONGEST_STEP:
             self._beyond_since = None
@@ -108,7 +110,8 @@ class HeadingSource:
     def _proves(
         self, t: float, difference: float, variance: float, noise: float, heading: float
     ) -> bool:
-        """Return whether the source has turned as the gyroscope did, for long and far enough."""
+        """Return whether the source has turned as the gyroscope has, for long enough and over a
+        large enough turn."""
         grown = max(variance - self._anchor_variance, 0.0)
         limit = self._gate * math.sqrt(2.0 * noise + grown)
         is_near = abs(wrapped(difference - self._anchor)) < limit

@@ -1,11 +1,12 @@
 """Method B over an interval between two average speeds, in the form that the filter uses.
 
-The gyroscope carries everything into the frame P. The mean over [t0, t1] of the specific force less
-a_fwd and omega x v is the mean force less the change of the velocity *vector*:
+The gyroscope's matrix C transforms all vectors into the frame P. Consider the mean over [t0, t1] of
+the specific force minus a_fwd and omega x v. This mean equals the mean force minus the change of
+the velocity *vector*:
     mean(C (f - a_fwd y - omega x v y)) = mean(C f) - (C_1 y v_1 - C_0 y v_0) / (t1 - t0),
-This holds because d(C y v)/dt = C (y dv/dt + omega x y v), with y the direction of motion. Only the
-speed is differenced. A slow or late speed is paired with the force of its own time. A lever arm l
-adds C (omega x l) to the velocity. The rest is gravity in P, plus error.
+The reason is d(C y v)/dt = C (y dv/dt + omega x y v), with y the direction of motion. Differences
+are taken of the speed only. A slow or late speed is combined with the force at the same time. A
+lever arm l adds C (omega x l) to the velocity. The remaining force is gravity in P, plus error.
 """
 
 from __future__ import annotations
@@ -20,17 +21,19 @@ from imucald.core.rotations import Vector
 SLOW_ERROR_S = 1.0
 """Duration of an error of a mean specific force [s]."""
 MIN_LEVEL = 0.5
-"""Cosine of the steepest slope along which a horizontal speed is turned."""
+"""Cosine of the steepest slope for which a horizontal speed is converted to a speed along the
+body."""
 
 
 class Interval(NamedTuple):
-    """Gravity in P over an interval, and the quantities that set its uncertainty.
+    """Gravity in P over an interval, and the quantities that determine its uncertainty.
 
-    up: mean specific force less motion, frame P [m/s^2]. t0, t1 [s]. speed: mean [m/s] or NaN.
-    forward_acceleration: of the vehicle [m/s^2]. force_variance: of one sample about the mean
-    [(m/s^2)^2], all axes. n: samples. rate: mean of the raw gyroscope [rad/s]; rate_variance: of
-    one sample, about each axis [(rad/s)^2]. angle: turned [rad].
-    sigma_forward, sigma_lateral: standard deviation of `up` along the body's axes [m/s^2].
+    up: mean specific force minus motion, frame P [m/s^2]. t0, t1: begin and end [s]. speed: mean
+    speed [m/s] or NaN. forward_acceleration: acceleration of the vehicle [m/s^2]. force_variance:
+    variance of one force sample about the mean [(m/s^2)^2], all axes together. n: number of force
+    samples. rate: mean of the raw gyroscope [rad/s]. rate_variance: variance of one rate sample
+    about each axis [(rad/s)^2]. angle: turned angle [rad]. sigma_forward, sigma_lateral: standard
+    deviation of `up` along the body's axes [m/s^2].
     """
 
     up: Vector
@@ -48,14 +51,15 @@ class Interval(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """Length [s]."""
+        """Duration of the interval [s]."""
         return self.t1 - self.t0
 
 
 class Endpoint(NamedTuple):
-    """An end of an interval: the integrals there and the speed [m/s], NaN if unknown.
+    """An end of an interval: the running integrals and the speed at this time [m/s]; NaN if not
+    known.
 
-    age: age of the speed, if it is older than this instant [s].
+    age: age of the speed at this time [s]; 0 if the speed is not extrapolated.
     """
 
     snapshot: IntegralSnapshot
@@ -64,10 +68,7 @@ class Endpoint(NamedTuple):
 
 
 def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
-    """Return an endpoint with its horizontal speed turned to the speed along the body.
-
-    up: unit vector in P.
-    """
+    """Return an endpoint with its horizontal speed converted to the speed along the body."""
     rise = sum(a * b for a, b in zip(endpoint.snapshot.forward, up, strict=True))
     level = math.sqrt(max(1.0 - rise * rise, MIN_LEVEL**2))
     return endpoint._replace(speed=endpoint.speed / level)
@@ -83,10 +84,10 @@ def interval(
 ) -> Interval:
     """Make the interval between two endpoints of one segment.
 
-    noise: deviation of a mean specific force over a second or more along forward, left, up;
-    unknown: deviation of an acceleration without speed [m/s^2]. scatter_since: time from which the
-    scatter of the samples is computed, because few samples do not show theirs. Default: the
-    beginning of the interval.
+    noise: deviation of a mean specific force over a second or more, along forward, left, up
+    [m/s^2]. unknown: deviation of an acceleration without speed [m/s^2]. scatter_since: snapshot
+    from which the scatter of the samples is computed, because few samples do not show their
+    scatter. The default is the beginning of the interval.
     """
     a, b = first.snapshot, last.snapshot
     T = b.t - a.t
@@ -132,8 +133,8 @@ def interval(
 
 
 def shared(found: Interval) -> Interval:
-    """Return the same interval if its samples are used twice: in pieces, and from one speed to the
-    next.
+    """Return the same interval if its samples are used twice: in pieces, and in the interval from
+    one speed to the next.
 
     Along the direction of motion, pieces give almost no information.
     """
@@ -148,14 +149,16 @@ def _known_sigma(
     lateral: float,
     unknown: float,
 ) -> tuple[float, float]:
-    """Return the deviation of the correction, along and across the direction of motion [m/s^2].
+    """Return the deviation of the motion correction, along and across the direction of motion
+    [m/s^2].
 
-    Along: noise and scale of the speed, and the centripetal acceleration of an unknown lever arm.
-    The noise is larger while the vehicle creeps and its signal may still say zero. Across: the
-    scale, and the change of the side-slip, which acts like that lever arm.
+    The deviation along the motion contains noise and scale error of the speed, and the centripetal
+    acceleration of an unknown lever arm. The noise is larger while the vehicle creeps, because its
+    speed signal may still be zero. The deviation across the motion contains the scale error, and
+    the change of the side-slip, which acts like an unknown lever arm.
 
-    Since an old speed, the acceleration has changed as much as an unknown one. This is one error in
-    all intervals that use that speed, so each interval counts for its share of the age.
+    If the speed is old, an acceleration of size `unknown` since this speed is assumed. All
+    intervals that use this speed have the same error, so each interval gets its share of the age.
     """
     T = last.snapshot.t - first.snapshot.t
     age = max(first.age, last.age)

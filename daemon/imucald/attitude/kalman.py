@@ -1,15 +1,16 @@
 """The nine-state Kalman filter of method C: errors of attitude, gyroscope and accelerometer.
 
-x = (dp, dr, dy, bx, by, bz, dx, dy, dz): attitude error (rotation vector about east, north, up;
-C_true = exp(skew(e)) C), random error of the gyroscope [rad/s] and of the accelerometer
-[m/s^2] in body axes. In right-forward-up axes of the body an error about the right
-axis is one of pitch, about the forward axis one of roll.
+The state is x = (dp, dr, dy, bx, by, bz, dx, dy, dz). The state contains the attitude error
+(rotation vector about east, north, up; C_true = exp(skew(e)) C), the random error of the gyroscope
+[rad/s] and the random error of the accelerometer [m/s^2] in body axes. In right-forward-up axes of
+the body, an error about the right axis is a pitch error, and an error about the forward axis is a
+roll error.
 
-Model: x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's random
-error is a Gauss-Markov process. The gyroscope's is a random walk, the short-time form of such a
-process. With a pull to zero, an error that nothing shows (about the vertical, between two stops)
-would be forgotten. Every estimate is fed back at once, so the state is zero between updates and
-only its covariance is carried.
+The model is x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's
+random error is a Gauss-Markov process. The gyroscope's random error is a random walk, the
+short-time form of a Gauss-Markov process. A Gauss-Markov process would forget an error that no
+measurement shows (about the vertical, between two stops). Every estimate is fed back at once, so
+the state is zero between updates, and only its covariance is stored.
 """
 
 from __future__ import annotations
@@ -26,32 +27,33 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, Vector, matrix_times
 
 Measurement = tuple[Array, float, float, bool]
-"""z = h . x + noise: h (9,), z, variance of the noise, and whether the variance of an unlikely z is
-increased.
+"""A measurement z = h . x + noise: h (9,), z, variance of the noise, and a flag. If the flag is
+True, the variance of an unlikely z is increased.
 """
 
 STATES = 9
 YAW_STD_MAX = math.pi
-"""Largest deviation of an unknown heading [rad]: its variance stops growing here, long before it
-could spoil the numbers.
+"""Largest deviation of an unknown heading [rad]. At this value, its variance stops growing, so that
+the numbers stay accurate.
 """
 ROUNDED_S = 10.0
-"""Time for which a rate without vibration stays within one step of its signal [s]: creeping, or
-straight on a smooth road.
+"""Time for which a rate without vibration stays within one step of its signal [s], while the
+vehicle creeps or drives straight on a smooth road.
 """
 _EYE = np.eye(STATES)
 
 
 def of_axes(per_vehicle_axis: Vector) -> Vector:
-    """Reorder sizes along forward, left, up to sizes along right, forward, up."""
+    """Convert sizes along forward, left, up to sizes along right, forward, up."""
     x, y, z = per_vehicle_axis
     return y, x, z
 
 
 class NineStateFilter:
-    """Covariance (9, 9) and the random errors that were fed back.
+    """Covariance (9, 9), and the estimated random errors that were fed back.
 
-    bias: gyroscope [rad/s]; accel_error [m/s^2]; both in body axes, right-forward-up.
+    bias: error of the gyroscope [rad/s]. accel_error: error of the accelerometer [m/s^2]. Both
+    errors are in body axes, right-forward-up.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
@@ -60,7 +62,7 @@ class NineStateFilter:
         self._gyro_random = of_axes(settings.gyro_random)
         random = settings.accel_random or CalibrationSettings().accelerometer_bias
         self.accel_random = of_axes(per_axis(random))
-        """Deviations along right, forward, up [m/s^2], the axes used inside."""
+        """Deviations of the accelerometer's random error along right, forward, up [m/s^2]."""
         self.bias: Vector = (0.0, 0.0, 0.0)
         self.accel_error: Vector = (0.0, 0.0, 0.0)
         self.P: Array = np.zeros((STATES, STATES))
@@ -68,9 +70,10 @@ class NineStateFilter:
         """Number of measurements whose noise the gate had to increase."""
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
-        """Begin again; standard deviations in rad and rad/s.
+        """Begin again. The arguments are standard deviations [rad], [rad/s].
 
-        The gyroscope's error is kept, and so is its possible random walk since it was found.
+        The estimated gyroscope error is kept. The variance of this error also contains the random
+        walk since the estimate.
         """
         gyro = [max(c**2, float(self.P[3 + i, 3 + i]))
                 for i, c in enumerate(of_axes(per_axis(gyro_std)))]  # fmt: skip
@@ -78,18 +81,19 @@ class NineStateFilter:
         self.P = np.diag(tilt + gyro + [c**2 for c in self.accel_random])
 
     def turned_unseen(self, tilt_std: float, heading_std: float) -> None:
-        """Add an unmeasured turn of the body; standard deviations [rad]."""
+        """Add a rotation of the body that was not measured. The arguments are standard deviations
+        [rad]."""
         self.P[0, 0] += tilt_std**2
         self.P[1, 1] += tilt_std**2
         self.P[2, 2] += heading_std**2
         self._hold_yaw()
 
     def turn_north(self, angle: float) -> None:
-        """Turn all attitude about up by this angle [rad], for example when the first heading is
+        """Rotate all attitudes about up by this angle [rad], for example when the first heading is
         taken.
 
-        The errors about level axes are turned by the same rotation: C_true = R exp(e) C = exp(R e)
-        R C.
+        The errors about the level axes are rotated by the same rotation: C_true = R exp(e) C =
+        exp(R e) R C.
         """
         T = np.eye(STATES)
         s, c = math.sin(angle), math.cos(angle)
@@ -105,9 +109,9 @@ class NineStateFilter:
     def predict(
         self, C_nav_from_body: Rows, dt: float, turned: float, rounding: float = 0.0
     ) -> None:
-        """Predict over dt [s], in which the body turned by this vector [rad].
+        """Predict over dt [s]. turned: angle by which the body turned in this time [rad].
 
-        rounding: variance of a mean of the rate, from the steps of its signal [(rad/s)^2].
+        rounding: variance of a mean rate that comes from the step size of the signal [(rad/s)^2].
         """
         s = self.settings
         keep_d = math.exp(-dt / s.accel_random_time)
@@ -131,11 +135,12 @@ class NineStateFilter:
         self.accel_error = (dx * keep_d, dy * keep_d, dz * keep_d)
 
     def update(self, measurements: Sequence[Measurement]) -> Vector:
-        """Measurement update; return the attitude error to correct [rad], about east, north, up.
+        """Do a measurement update. Returns the attitude error to correct, about east, north, up
+        [rad].
 
-        All measurements are of one instant. Measurements with independent noise are applied one
-        after another, which gives the same result as together and needs no inverse. Joseph's form
-        keeps P a valid covariance.
+        All measurements are of the same time. Measurements with independent noise are applied one
+        after another. The result is the same as for a joint update, and no inverse is needed.
+        Joseph's form keeps P a valid covariance.
         """
         x = np.zeros(STATES)
         for h, z, variance, gated in measurements:
@@ -149,8 +154,8 @@ class NineStateFilter:
     def _take(self, x: Array, h: Array, z: float, variance: float, gated: bool) -> None:
         """Correct x by the measurement z = h . x + noise.
 
-        If z is far outside its expected spread, its variance is increased until it is inside. The
-        step is then bounded, and the covariance does not shrink as it would for a z that fits.
+        If z is far outside its expected spread, the variance of z is increased until z is inside.
+        The correction is then limited, and the covariance decreases less than with a z that fits.
         """
         P = self.P
         Ph = P @ h
@@ -167,7 +172,7 @@ class NineStateFilter:
         x += K * innovation
 
     def turn_body(self, D_new_from_old: Array) -> None:
-        """Apply a new definition of the body's axes: v_new = D v_old, (3, 3)."""
+        """Apply a new definition of the body's axes: v_new = D v_old, D (3, 3)."""
         D = D_new_from_old
         T = np.eye(STATES)
         T[3:6, 3:6] = T[6:9, 6:9] = D
@@ -177,8 +182,10 @@ class NineStateFilter:
         self.accel_error = matrix_times(D, self.accel_error)
 
     def forget_bias(self, rounding: float) -> None:
-        """Reset the random part to a small value, because the constant part was measured again to
-        this variance.
+        """Reset the random part of the gyroscope error to a small value, because the constant part
+        was measured again.
+
+        rounding: variance of this measurement [(rad/s)^2].
         """
         self.bias = (0.0, 0.0, 0.0)
         self.P[3:6, :] = 0.0
@@ -186,8 +193,8 @@ class NineStateFilter:
         self.P[3:6, 3:6] = np.diag([max(c * c, rounding) for c in self._gyro_random])
 
     def std_along(self, x: float, y: float, z: float) -> float:
-        """Return the standard deviation of the attitude error about a unit direction in east,
-        north, up.
+        """Return the standard deviation of the attitude error about a unit vector in east, north,
+        up.
         """
         u = np.array([x, y, z])
         return math.sqrt(max(float(u @ self.P[0:3, 0:3] @ u), 0.0))

@@ -1,7 +1,8 @@
 """Measurements z of method C and their dependence on the nine states.
 
-z is the attitude of the propagated matrix minus that of the accelerometer (pitch, roll) and of the
-heading input. A gyroscope at rest is a further measurement, beyond the publication.
+z is the difference between the attitude of the propagated matrix and the measured attitude: pitch
+and roll from the accelerometer, heading from the heading input. The rate of the gyroscope at rest
+is a further measurement, which is not in the publication.
 """
 
 from __future__ import annotations
@@ -17,22 +18,24 @@ from imucald.core.rotations import Rows, Vector, times, transposed_times
 from imucald.core.samples import GRAVITY
 
 MIN_UP = 0.3 * GRAVITY
-"""A smaller force is not gravity, but a fall or a broken sensor [m/s^2]."""
+"""Smallest force that counts as gravity [m/s^2]. A smaller force comes from a fall or a broken
+sensor."""
 REST_RATE_STD = math.radians(0.003)
-"""Rate of a standing vehicle while people get in [rad/s]."""
+"""Assumed rate of a standing vehicle while people get in [rad/s]."""
 
 
 def tilt(
     interval: Interval, gravity: Vector, C: Rows, accel_error: Vector, lag: float
 ) -> list[Measurement]:
-    """Return pitch and roll of the propagated matrix minus those of the accelerometer; noise from
-    `interval`.
+    """Return two measurements: pitch and roll of the propagated matrix minus pitch and roll from
+    the accelerometer. The noise comes from `interval`.
 
-    gravity: specific force without motion over the interval, turned by the propagated matrix to
-    east, north, up [m/s^2]. With a correct matrix it points up. The differences are taken about the
-    level axes right and forward of the vehicle, where they have no singularity. For small errors
-    they equal the differences of the angles. C: C_nav_from_body now. accel_error: in body axes.
-    lag: age of the interval's middle [s]; the gyroscope's error has turned the matrix since.
+    gravity: specific force without motion over the interval, rotated by the propagated matrix to
+    east, north, up [m/s^2]. With a correct matrix, this vector points up. The differences are
+    rotations about the level axes right and forward of the vehicle, which avoids a singularity. For
+    small errors, they equal the differences of the angles. C: present C_nav_from_body. accel_error:
+    accelerometer error in body axes [m/s^2]. lag: age of the middle of the interval [s]; the
+    gyroscope's error has rotated the matrix since then.
     """
     d = times(C, accel_error)
     east, north, up = gravity[0] - d[0], gravity[1] - d[1], gravity[2] - d[2]
@@ -60,12 +63,11 @@ def tilt(
 def rest_rates(
     interval: Interval, bias: Vector, noise: Vector, known: Vector, resolution: float = 0.0
 ) -> list[Measurement]:
-    """Return the rest measurement: at rest the gyroscope reads its own error.
+    """Return the measurement at rest: a gyroscope at rest shows its own error.
 
-    bias: known part [rad/s]; noise: noise density.
-
-    known: variance of each axis' error so far; resolution: step of the signal. The rounding is the
-    same in every rest, so more rests do not reduce the error below it.
+    bias: known part of this error [rad/s]. noise: noise density. known: present variance of each
+    axis's error [(rad/s)^2]. resolution: step size of the signal [rad/s]. The rounding error is the
+    same in every rest, so further rests cannot reduce the error below the rounding error.
     """
     of_mean = sum(interval.rate_variance) / (3.0 * interval.n)
     rounded = rounding(interval.rate_variance, resolution)
@@ -83,15 +85,15 @@ def rest_rates(
 
 
 def rounding(spread: Vector, resolution: float) -> float:
-    """Return the variance of a mean of rounded numbers about the mean of the true ones.
+    """Return the variance of the mean of rounded numbers about the mean of the true numbers.
 
-    spread: variance of a rounded number, for each axis; the quietest axis counts. Vibration reduces
-    the rounding error (dither) from the step^2 / 12 of a signal that is still. Noise of size s
-    reduces it by exp(-2 (pi s / step)^2). A tone of amplitude A, as of an engine that idles,
-    reduces it by J0(2 pi A / step), whose size is below sqrt(step / A) / pi (Widrow and Kollar,
-    Quantization Noise, 2008: the first term of the sum). It is not known which of the two is
-    present, so the larger factor counts. The rounding itself adds step^2 / 12 to the spread
-    (Sheppard).
+    spread: variance of a rounded number, for each axis; the smallest is used. For a signal without
+    noise, the variance is step^2 / 12. Vibration reduces the rounding error (dither). Noise of size
+    s reduces the variance by the factor exp(-2 (pi s / step)^2). A tone of amplitude A, as from an
+    idling engine, reduces the error by the factor J0(2 pi A / step), whose size is below sqrt(step
+    / A) / pi (Widrow and Kollar, Quantization Noise, 2008: the first term of the sum). Whether
+    noise or a tone is present is not known, so the larger result is used. The rounding itself adds
+    step^2 / 12 to the spread (Sheppard).
     """
     if resolution == 0.0:
         return 0.0
@@ -105,10 +107,11 @@ def rounding(spread: Vector, resolution: float) -> float:
 
 
 def heading_difference(heading: float, C: Rows, noise: float) -> Measurement:
-    """Return a heading input [rad] against the propagated matrix; `HeadingSource` gates it.
+    """Return the measurement of a heading input [rad] minus the heading of the propagated matrix.
+    `HeadingSource` rejects wrong headings.
 
-    The publication's angle is counter-clockwise and a heading is clockwise, so the operands are
-    exchanged.
+    The angle of the publication is counter-clockwise and a heading is clockwise, so the operands
+    are exchanged.
     """
     h = np.zeros(STATES)
     h[2] = -1.0

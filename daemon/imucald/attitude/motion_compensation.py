@@ -1,26 +1,28 @@
-"""Method B: the effect of motion on the accelerometer is removed (CN109506674B).
+"""Method B: it removes the effect of motion on the accelerometer (CN109506674B).
 
 At each instant, a_fwd = d(v_avg)/dt acts along the direction of motion. a_c = omega x v uses the
-newest speed, because an average would be late in a braking turn. The measured specific force less
-both is gravity plus error. The zero error is subtracted from the gyroscope. Pitch and roll follow
-from the remaining force. Each is corrected by the deflection found from the previous angle.
+newest speed, because an average speed would be late in a braking turn. The measured specific force
+minus a_fwd and a_c is gravity plus error. The zero error is subtracted from the gyroscope. Pitch
+and roll are computed from the remaining force. Each angle is corrected by the deflection, which is
+computed from the previous angle.
 
-Deflection (*reconstructed*; the publication prints no formula). An acceleration a is known along
-the direction of motion, but a number s is subtracted along the accelerometer's own axis. The body's
-pitch or roll deflects this axis from the direction of motion. Let the axis be deflected by delta
-(positive: it points up). The accelerometer feels
+Deflection (*reconstructed*; the publication states no formula). An acceleration a is known along
+the direction of motion, but a number s is subtracted along the accelerometer's own axis. The pitch
+or roll of the body deflects this axis from the direction of motion. Let the axis be deflected by
+delta (positive: the axis points up). The accelerometer measures
     f_x = a cos(delta) + g sin(delta),    f_z = g cos(delta) - a sin(delta),
-The difference f_x - s leaves an angle atan2(f_x - s, f_z) = delta + S with, exactly,
+The angle computed from f_x - s is atan2(f_x - s, f_z) = delta + S. The error S is exactly
     S(delta; a, s) = atan2(a - s cos(delta), g - s sin(delta)).
-delta is not known yet, so the previous angle is used: J_n = phi_n - S(phi_{n-1}), K_n likewise.
-- Pitch: s = a = a_fwd. A speed counted by wheels is along the road. Only the body's pitch against
-  the road then deflects; the road's part (the slow mean of the angle) does not. A speed over the
-  map is horizontal, so the whole angle deflects.
-- Roll: s = omega_up v, measured in the body, and a = s / cos(delta). With the full omega x v both
-  components of a are already those along the deflected axes, and S is zero.
+delta is not known yet, so the previous angle is used: J_n = phi_n - S(phi_{n-1}) for the pitch, and
+K_n in the same way for the roll.
+- Pitch: s = a = a_fwd. A speed from wheels is along the road, so only the body's pitch relative to
+the road is a deflection. The road's part (the slow mean of the angle) is not. A speed from
+satellites is horizontal, so the whole angle is a deflection.
+- Roll: s = omega_up v, measured in the body, and a = s / cos(delta). With the full omega x v, both
+components of a are already along the deflected axes, and S is zero.
 
-All quantities are in right-forward-up axes: x right, y forward, z up. Pitch is positive nose up,
-roll is positive right side down.
+All quantities are in right-forward-up axes: x right, y forward, z up. Pitch is positive with the
+nose up, roll is positive with the right side down.
 """
 
 from __future__ import annotations
@@ -35,18 +37,19 @@ from imucald.core.rotations import Vector, cross
 from imucald.core.samples import GRAVITY
 
 ROAD_TIME = 3.0
-"""Time constant of the road's part of an angle [s]: longer than the swing of the body on its
-springs.
+"""Time constant of the road's part of an angle [s]. It is longer than the oscillation of the body
+on its springs.
 """
 MAX_SPEEDS = 4096
-"""Largest number of speed samples that are stored: a second of any bus."""
+"""Largest number of stored speed samples: one second of any bus."""
 
 
 def deflection(angle: float, acceleration: float, subtracted: float) -> float:
-    """Return S [rad]: error of an angle found from f - s, with the axis deflected by `angle` [rad].
+    """Return S [rad]: the error of an angle computed from f - s, with the axis deflected by `angle`
+    [rad].
 
-    acceleration: along the direction of motion [m/s^2], positive in the axis' direction;
-    subtracted: number subtracted along the axis for it [m/s^2].
+    acceleration: acceleration along the direction of motion [m/s^2], positive in the direction of
+    the axis. subtracted: number s that is subtracted along the axis [m/s^2].
     """
     return math.atan2(
         acceleration - subtracted * math.cos(angle), GRAVITY - subtracted * math.sin(angle)
@@ -54,14 +57,15 @@ def deflection(angle: float, acceleration: float, subtracted: float) -> float:
 
 
 class AverageSpeed(NamedTuple):
-    """Mean speed [m/s] over the last samples, and its time [s]."""
+    """Mean speed [m/s] over the last samples, and the time of the mean [s]."""
 
     t: float
     speed: float
 
 
 class SpeedAverager:
-    """v_avg: mean of the speed samples of the last `average` seconds, corrected for their delay."""
+    """Average v_avg: mean of the speed samples of the last `average` seconds, corrected for the
+    delay of the speed."""
 
     def __init__(self, settings: MotionCompensationSettings) -> None:
         self._settings = settings
@@ -72,7 +76,7 @@ class SpeedAverager:
         self._samples.clear()
 
     def add_speed(self, t: float, speed: float) -> AverageSpeed:
-        """Take a speed [m/s], signed, that came at t [s]; return the average now."""
+        """Take a signed speed [m/s] that was received at t [s]. Returns the present average."""
         samples, settings = self._samples, self._settings
         samples.append((t, speed))
         while samples[0][0] < t - settings.average:
@@ -83,11 +87,11 @@ class SpeedAverager:
 
 
 class Compensated(NamedTuple):
-    """Result of method B for one instant; right-forward-up axes.
+    """Result of method B for one instant, in right-forward-up axes.
 
-    force: specific force less motion [m/s^2]. rate: less zero error [rad/s]. pitch, roll: from the
-    force, less the deflection. raw_pitch, raw_roll: the same with the deflection [rad]. known:
-    whether the speed was known.
+    force: specific force minus motion [m/s^2]. rate: rate minus zero error [rad/s]. pitch, roll:
+    angles from the force, without the deflection [rad]. raw_pitch, raw_roll: angles from the force,
+    with the deflection [rad]. known: True if the speed was known.
     """
 
     force: Vector
@@ -102,7 +106,7 @@ class Compensated(NamedTuple):
 class MotionCompensation:
     """Method B, instant by instant, with the data received so far.
 
-    zero_error: of the gyroscope [rad/s], right-forward-up axes.
+    zero_error: zero error of the gyroscope [rad/s], right-forward-up axes.
     """
 
     def __init__(
@@ -123,11 +127,12 @@ class MotionCompensation:
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
         self.angles = (0.0, 0.0)
-        """Pitch and roll of the previous instant [rad]; a caller with better angles sets them."""
+        """Pitch and roll of the previous instant [rad]. A caller with better angles may set
+        them."""
         self._road = (0.0, 0.0)
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], signed, that came at t [s]."""
+        """Take a signed speed [m/s] that was received at t [s]."""
         self._heard, self._speed = t, speed
         endpoint = self._average.add_speed(t, speed)
         endpoints = self._endpoints
@@ -143,15 +148,15 @@ class MotionCompensation:
             self._a_fwd = (last.speed - first.speed) / (last.t - first.t)
 
     def is_standing(self, t: float) -> bool | None:
-        """Return whether speed is zero at t [s] and has been zero since the last averages; None:
-        not known.
+        """Return whether the speed is zero at t [s] and was zero in all last averages; None: not
+        known.
         """
         if t - self._heard > self.settings.timeout or len(self._endpoints) < 2:
             return None
         return all(endpoint.speed == 0.0 for endpoint in self._endpoints)
 
     def take_sample(self, t: float, force: Vector, rate: Vector) -> Compensated:
-        """Correct one sample of accelerometer [m/s^2] and gyroscope [rad/s] at t [s]."""
+        """Correct one accelerometer sample [m/s^2] and one gyroscope sample [rad/s] at t [s]."""
         bx, by, bz = self.zero_error
         rate = (rate[0] - bx, rate[1] - by, rate[2] - bz)
         known = t - self._heard <= self.settings.timeout and len(self._endpoints) > 1
@@ -172,7 +177,7 @@ class MotionCompensation:
     def _deflected(
         self, t: float, raw_pitch: float, raw_roll: float, a_fwd: float, a_right: float
     ) -> tuple[float, float]:
-        """Return J and K of the publication: the angles less S of the previous ones."""
+        """Return J and K of the publication: the raw angles minus S of the previous angles."""
         pitch, roll = self.angles
         if self._last is None:
             self._road = (raw_pitch, raw_roll)
@@ -191,7 +196,7 @@ class MotionCompensation:
         return raw_pitch, raw_roll
 
     def _lever_acceleration(self, t: float, rate: Vector) -> Vector:
-        """Return omega' x l + omega x (omega x l) at the sensor, with omega' from successive
+        """Return omega' x l + omega x (omega x l) at the sensor. omega' is computed from successive
         samples.
         """
         if not any(self._lever):

@@ -1,8 +1,9 @@
-"""The attitude matrix from the gyroscope, and running integrals in its frame.
+"""The attitude matrix from the gyroscope, and running integrals in the frame P.
 
-The frame P is that of the start, kept by the gyroscope alone. The filter's corrections are a
-separate rotation, so the history never jumps. Integrals of specific force are stored for some
-seconds. An interval between two speed samples can then be evaluated when a late speed comes.
+The frame P is the body's frame at the start, tracked with the gyroscope alone. The filter's
+corrections are a separate rotation, so the history has no jumps. Integrals of the specific force
+are stored for some seconds. With these integrals, an interval between two speed samples can be
+evaluated when a late speed is received.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ HISTORY_S = 8.0
 """Length of the history [s]: an interval, its delay, and a slow speed."""
 MAX_HISTORY = 16_384
 MAX_PENDING = 64
-"""Accelerometer samples that can wait for a gyroscope sample to place them."""
+"""Largest number of accelerometer samples that wait for a later gyroscope sample."""
 
 
 class IntegralSnapshot(NamedTuple):
-    """Running integrals up to time t [s], and the body's direction at that time; frame P.
+    """Running integrals up to time t [s], and the body's direction at this time, in the frame P.
 
-    force: integral of specific force [m/s]. forward, right: unit axes of the body. arm: velocity of
-    the sensor from its lever arm [m/s]. up_rate: rate about the body's up axis [rad/s]. n, body,
-    square: count, sum and sum of squares of the specific force in body axes. turns, rate,
-    rate_square: the same for the raw gyroscope, with squares for each axis. angle: total turn
-    [rad].
+    force: integral of the specific force [m/s]. forward, right: unit axes of the body. arm:
+    velocity of the sensor from its lever arm [m/s]. up_rate: rate about the body's up axis [rad/s].
+    n, body, square: count, sum and sum of squares of the specific force in body axes. turns, rate,
+    rate_square: count, sum and sum of squares of the raw gyroscope, with squares for each axis.
+    angle: total turn [rad].
     """
 
     t: float
@@ -57,23 +58,22 @@ class IntegralSnapshot(NamedTuple):
 
 
 class Propagator:
-    """Carries the attitude by gyroscope samples, and keeps the history by accelerometer samples.
+    """Integrates the attitude with gyroscope samples, and stores the history with accelerometer
+    samples. All axes are right-forward-up.
 
-    Right-forward-up axes.
-
-    longest_step: samples further apart than this [s] begin a new segment.
-    lever: from the point whose velocity is the speed to the sensor [m].
+    longest_step: time between two samples above which a new segment begins [s]. lever: vector from
+    the point whose velocity is the speed to the sensor [m].
     """
 
     def __init__(self, longest_step: float, lever: Vector) -> None:
         self._longest_step = longest_step
         self._lever = lever
         self.q: Quaternion = IDENTITY
-        """Body to P."""
+        """Rotation from the body to P."""
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything but the attitude, because time has jumped."""
+        """Forget everything except the attitude, because time has jumped."""
         self.segment_start = math.inf
         """Time of the first snapshot of continuous history [s]."""
         self.t = -math.inf
@@ -96,13 +96,13 @@ class Propagator:
         return self._history[-1] if self._history else None
 
     def turn_body(self, q_old_from_new: Quaternion) -> None:
-        """Apply a new definition of the body's axes; the sensor has not moved."""
+        """Apply a new definition of the body's axes. The sensor has not moved."""
         self.q = quaternion_product(self.q, q_old_from_new)
         self.C = rows_from_quaternion(self.q)
 
     def gyro(self, t: float, raw: Vector, bias: Vector) -> None:
-        """Take an angular rate [rad/s] and its bias; place the waiting accelerometer samples up to
-        t.
+        """Take an angular rate [rad/s] and its bias. Add the waiting accelerometer samples up to t
+        to the history.
         """
         rate = (raw[0] - bias[0], raw[1] - bias[1], raw[2] - bias[2])
         dt = t - self.t
@@ -135,7 +135,8 @@ class Propagator:
             self._place(t, force)
 
     def _place(self, t: float, force: Vector) -> None:
-        """Turn a sample into P by the attitude at its time; C is interpolated linearly."""
+        """Rotate an accelerometer sample into P with the attitude at its time, and add it to the
+        history. C is interpolated linearly."""
         span = self.t - self._t_before
         part = (t - self._t_before) / span if 0.0 < span < math.inf else 1.0
         if part < 0.0:  # older than the last two gyroscope samples: too late to be placed
@@ -176,7 +177,7 @@ class Propagator:
             history.popleft()
 
     def at(self, t: float) -> IntegralSnapshot | None:
-        """Return the integrals at time t [s], interpolated; None outside the history."""
+        """Return the interpolated integrals at time t [s]; None outside the history."""
         history = self._history
         if not history or t < history[0].t or t > history[-1].t:
             return None

@@ -1,4 +1,5 @@
-"""Rest: of an interval (method C), and the gyroscope's mean over each rest (method B, claim 1)."""
+"""Rest of an interval (method C), and mean rate of the gyroscope over each rest (method B, claim
+1)."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ from imucald.core.rotations import Vector
 from imucald.motion.standstill import feels_parked
 
 BLOCK_S = 1.0
-"""A rest is examined in pieces of this length [s]; a piece that is not quiet ends it."""
+"""Length of the pieces in which a rest is examined [s]. A piece that is not quiet ends the rest."""
 MAX_ZERO_ERROR = 6.0
-"""Largest rate at rest in standard deviations of the zero error."""
+"""Largest rate at rest, in standard deviations of the zero error."""
 
 
 def is_rest(
@@ -20,7 +21,7 @@ def is_rest(
 ) -> bool:
     """Return whether the vehicle is at rest from one endpoint to the next.
 
-    zero_error: of the gyroscope, as far as it is known [rad/s].
+    zero_error: known zero error of the gyroscope [rad/s].
     """
     quiet = (
         found.force_variance < settings.rest_accel_spread**2
@@ -67,12 +68,12 @@ class _TriadSums:
 
 
 class RestingGyro:
-    """Takes samples of both sensors in any common axes; returns the zero error once a rest has
-    shown it.
+    """Takes samples of both sensors in any common axes. Returns the zero error of the gyroscope
+    after a rest that is long enough.
 
-    The first rest must last `check` (the sensor check of method C). Later, `start` is enough if a
-    speed says that the vehicle stands. Without a speed, only a vehicle as still as a parked one
-    rests, and the rest must last `check`.
+    The first rest must last `check` (as in the sensor check of method C). Later rests must last
+    `start` if a speed shows that the vehicle stands. Without a speed, the vehicle must be as still
+    as a parked vehicle, and the rest must last `check`.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
@@ -80,7 +81,7 @@ class RestingGyro:
         self.begin()
 
     def begin(self) -> None:
-        """End the rest, if there was one."""
+        """End the present rest, if there is one."""
         self._total = _TriadSums()
         self._since = math.nan
         self._begin_block()
@@ -94,10 +95,11 @@ class RestingGyro:
         self._forces.add_vector(force)
 
     def gyro(self, t: float, rate: Vector, stands: bool | None, is_first: bool) -> Vector | None:
-        """Take a rate [rad/s] at t [s]; return the zero error if this ends a long enough rest.
+        """Take a rate [rad/s] at t [s]. Returns the zero error if the rest is now long enough, else
+        None.
 
-        stands: whether the speed is zero; None: not known. is_first: no zero error has been
-        returned before.
+        stands: True if the speed is zero; None: not known. is_first: no zero error was returned
+        before.
         """
         if stands is False:
             self.begin()

@@ -1,7 +1,8 @@
-"""The sensor check of method C: constant errors that a rest shows.
+"""The sensor check of method C: constant errors of the sensors, measured at rest.
 
-One position shows the gyroscope's zero error. The check shows the accelerometer's error along
-gravity, and the whole error only if the sensor is known to be level.
+A rest in any position shows the gyroscope's zero error. Such a rest shows the accelerometer's error
+along gravity only. If the sensor is known to be level, a rest shows the whole error of the
+accelerometer.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from imucald.core.rotations import Matrix3, Vector, matrix_times
 from imucald.core.samples import GRAVITY
 
 LARGEST_RATE = math.radians(6.0)
-"""A gyroscope with a larger constant error is broken [rad/s]."""
+"""Constant error above which a gyroscope counts as broken [rad/s]."""
 LARGEST_FORCE = 3.0
-"""An accelerometer with a larger constant error is broken [m/s^2]."""
+"""Constant error above which an accelerometer counts as broken [m/s^2]."""
 DIGITS = 10
-"""Decimal places of a saved check: finer than any sensor."""
+"""Number of decimal places of a saved check. The last decimal place is finer than the error of any
+sensor."""
 
 
 class CheckResult(NamedTuple):
@@ -29,7 +31,8 @@ class CheckResult(NamedTuple):
 
     @property
     def is_believable(self) -> bool:
-        """True if these are errors of working sensors; larger errors, or NaN, mean a broken one."""
+        """True if the errors are those of working sensors. Larger errors, or NaN, come from a
+        broken sensor."""
         return all(
             abs(c) <= limit
             for values, limit in ((self.rate, LARGEST_RATE), (self.force, LARGEST_FORCE))
@@ -37,28 +40,29 @@ class CheckResult(NamedTuple):
         )
 
     def turned(self, R_new_from_old: Matrix3) -> CheckResult:
-        """Return the same in other axes."""
+        """Return the result in other axes."""
         return CheckResult(
             matrix_times(R_new_from_old, self.rate), matrix_times(R_new_from_old, self.force)
         )
 
     def less(self, rate: Vector, force: Vector) -> CheckResult:
-        """Return the errors that remain when this much more is subtracted from the samples."""
+        """Return the errors that remain when `rate` and `force` are also subtracted from the
+        samples."""
         (p, q, r), (a, b, c) = self
         return CheckResult(
             (p - rate[0], q - rate[1], r - rate[2]), (a - force[0], b - force[1], c - force[2])
         )
 
     def as_saved(self) -> dict[str, list[float]]:
-        """Return the form for a saved state; a turn to other axes and back gives the same
-        numbers.
+        """Return the result in the form of a saved state. A rotation to other axes and back gives
+        the same numbers.
         """
         rate, force = ([round(c, DIGITS) for c in values] for values in self)
         return {"rate": rate, "force": force}
 
     @classmethod
     def from_saved(cls, data: object) -> CheckResult | None:
-        """Return the check in a saved state; None if it is not a check of a working sensor."""
+        """Return the check from a saved state; None if it is not the check of a working sensor."""
         if not isinstance(data, Mapping):
             return None
         rate, force = data.get("rate"), data.get("force")
@@ -74,11 +78,13 @@ class CheckResult(NamedTuple):
 
 
 def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> CheckResult:
-    """Return bs and ds of the publication from the means of a rest [rad/s, m/s^2], vertical axis z.
+    """Return bs and ds of the publication from the means of a rest [rad/s, m/s^2]. The vertical
+    axis is z.
 
-    Level: ds is the mean minus gravity on z. Otherwise only the part of ds along the measured
-    vertical is used: the rest of a mean that leans is slope as well as error. The input is any
-    value from the bus, so check whether the result `is_believable`.
+    is_level: ds is the mean force minus gravity on z. Otherwise, only the part of ds along the
+    measured vertical is used, because the other part of the mean force comes from a slope as well
+    as from errors. The input may be any value from the bus, so the caller must check
+    `is_believable`.
     """
     x, y, z = mean_force
     if is_level:

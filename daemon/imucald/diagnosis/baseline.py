@@ -1,8 +1,9 @@
 """The model file that a diagnosis starts from if the user gives none.
 
-The model file describes an ordinary car: the defaults of the simulation, the vehicle data of the
-configuration, the rates of the logs, and the mount that the daemon's own estimator finds in them.
-What nobody has stated may have any value that is plausible (`known_to`).
+The model file describes an ordinary car. The file contains the defaults of the simulation, the
+vehicle data of the configuration, the sample rates of the logs, and the mount that the daemon's own
+estimator finds in the logs. A value that nobody has stated may have any plausible value
+(`known_to`).
 """
 
 from __future__ import annotations
@@ -33,10 +34,11 @@ NOT_STATED = (
     "mount.lever_arm_m.0", "mount.lever_arm_m.1", "mount.lever_arm_m.2",
     "suspension.squat_gradient", "suspension.dive_gradient", "suspension.roll_gradient",
 )  # fmt: skip
-"""Values of the vehicle that no configuration states. The drives show them. Steering ratio and
-understeer are not among them: fitted together, they come out 6 % and 0.003 rad/(m/s^2) wrong."""
+"""Values of the vehicle that no configuration states. The drives show these values. The steering
+ratio and the understeer are not in this list: if both are fitted together, the errors are 6 % and
+0.003 rad/(m/s^2)."""
 LARGEST_STD_DEG = 4.0
-"""Largest standard deviation of the mount [deg] with which a comparison is possible."""
+"""Largest standard deviation of the mount [deg] at which a comparison is possible."""
 SLOWEST_HZ, FASTEST_HZ = 0.2, 1000.0
 
 
@@ -65,7 +67,8 @@ def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Veh
 
 
 def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
-    """Nominal rates [Hz] from the database's cycle times, or else from the stamps."""
+    """Return the nominal sample rates [Hz], from the database's cycle times or else from the time
+    stamps."""
     rates: dict[str, float] = {}
     for recording in recordings:
         for name in RATES:
@@ -82,11 +85,13 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 
 
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
-    """Mount angles [deg] by the daemon's estimator, which takes the drives one after another.
+    """Return the mount angles [deg] by the daemon's estimator, which takes the drives one after
+    another.
 
-    A model file has one rotation, that of the housing; the diagnosis finds the errors of the axes
-    separately. If the mount is not known at the end (for example when the sensor swayed and the
-    search started again), the most certain estimate of the drive counts.
+    A model file has only the rotation of the housing. The diagnosis finds the errors of the axes
+    separately. The mount may be unknown at the end of the drives, for example because the sensor
+    swayed and the search started again. In this case, the most certain estimate of the drives is
+    used.
     """
     pipeline = Pipeline(estimator_for(loaded.config))
     start = 0.0
@@ -116,5 +121,5 @@ def _is_known(estimate: MountEstimate) -> bool:
 
 
 def _uncertainty(estimate: MountEstimate) -> float:
-    """The largest standard deviation of the mount's angles [deg]."""
+    """Return the largest standard deviation of the mount's angles [deg]."""
     return math.inf if estimate.std is None else math.degrees(max(estimate.std))

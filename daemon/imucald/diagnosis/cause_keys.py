@@ -1,9 +1,9 @@
 """Read and write the keys of the causes in a model.
 
-The file itself is read and written by `imucald.model`.
+`imucald.model` reads and writes the file itself.
 
-`Changes` maps a key to its departure from the model file. Vectors in it are along the vehicle's
-axes; this module turns them into the sensor's axes.
+`Changes` maps a key to the difference from the value of the model file. Vectors in `Changes` are
+along the vehicle's axes. This module rotates these vectors into the sensor's axes.
 """
 
 from __future__ import annotations
@@ -40,17 +40,18 @@ below the cut-off."""
 
 @dataclass(frozen=True)
 class Sensor:
-    """Errors of a triad in its own axes: measured = gain @ true + bias."""
+    """Errors of a triad in sensor axes: measured = gain @ true + bias."""
 
     gain: Array
     bias: Array
     per_kelvin: Array
     per_force: Array
-    """(3,) g-sensitivity, on the diagonal."""
+    """g-sensitivity of each axis (3,), the diagonal of a matrix."""
 
 
 def sensor_of(model: VehicleModel, name: str, changes: Changes) -> Sensor:
-    """Return the errors of a triad by the model file; `changes` apply to scale and cross-axis."""
+    """Return the errors of a triad: the values of the model file plus `changes`. Only changes of
+    scale, cross-axis and g-sensitivity are used."""
     triad = getattr(model, name)
     gain = np.eye(3)
     scale = np.array(triad.scale) + _indexed(changes, f"{name}.scale", 3)
@@ -69,12 +70,13 @@ def _indexed(changes: Changes, key: str, n: int) -> Array:
 
 
 def along_vehicle(changes: Changes, key: str) -> Array:
-    """(3,) change of a vector along the vehicle's axes."""
+    """Return the change of a vector (3,) along the vehicle's axes."""
     return np.array([changes.get(f"{key}.{axis}", 0.0) for axis in "xyz"])
 
 
 def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
-    """Pairs of a start time [s] and R_vehicle_from_sensor from then on."""
+    """Return pairs of a start time [s] and the R_vehicle_from_sensor that is valid from this time
+    on."""
     m = model.mount
     R = rotation_from_angles(*(math.radians(x) for x in (m.roll_deg, m.pitch_deg, m.yaw_deg)))
     found = [(-math.inf, R)]
@@ -86,13 +88,13 @@ def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
 
 
 def mount_of(model: VehicleModel) -> Matrix3:
-    """R_vehicle_from_sensor at the start of the drive; (3, 3)."""
+    """Return R_vehicle_from_sensor (3, 3) at the start of the drive."""
     return mounts(model)[0][1]
 
 
 def age(model: VehicleModel, name: str) -> float:
-    """Age of a signal when its frame arrives [s]: the delay of the signal plus the delay of its
-    low-pass."""
+    """Return the age of a signal when its frame arrives [s]: delay of the signal plus delay of its
+    low-pass filter."""
     message = getattr(model, name)
     seconds = float(message.delay_s)
     cut_off = getattr(message, "lowpass_hz", None)
@@ -102,8 +104,8 @@ def age(model: VehicleModel, name: str) -> float:
 
 
 def value(model: VehicleModel, key: str) -> float:
-    """A number of the model file. The value is 0 if the key has no place in the file or is a
-    component of a vector."""
+    """Return a number of the model file. A key without a place in the file gives 0. A key of a
+    vector component gives the component along the vehicle's axis."""
     place: Any = model
     for part in key.split("."):
         if part.isdigit() and isinstance(place, tuple):
@@ -116,7 +118,8 @@ def value(model: VehicleModel, key: str) -> float:
 
 
 def _vector_value(model: VehicleModel, key: str) -> float:
-    """Component along a vehicle axis; the file holds the vector in sensor axes."""
+    """Return the component of a vector along a vehicle axis. The file contains the vector in sensor
+    axes."""
     section, _, name = family(key).partition(".")
     stated, axis = getattr(getattr(model, section, None), name, None), key[-1]
     if axis not in "xyz" or not isinstance(stated, tuple):
@@ -125,20 +128,22 @@ def _vector_value(model: VehicleModel, key: str) -> float:
 
 
 def tolerance(model: VehicleModel, key: str) -> float:
-    """Allowed error of the model file: its own statement (`known_to`), or the catalogue's
-    tolerance."""
+    """Return the allowed error of a value of the model file: the error that the file states
+    (`known_to`), or else the tolerance of the catalogue."""
     stated = model.known_to.get(key)
     return usual_tolerance(model, key) if stated is None else stated
 
 
 def usual_tolerance(model: VehicleModel, key: str) -> float:
-    """Error that a correct model file may have if it does not state its accuracy."""
+    """Return the error that a value of a correct model file may have if the file does not state its
+    accuracy."""
     row = PARAMETERS[key]
     return row.tolerance * (abs(value(model, key)) if row.relative else 1.0)
 
 
 def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
-    """Range of departures that a real vehicle or sensor can have."""
+    """Return the range of the difference from the model file that a real vehicle or sensor can
+    have."""
     row = PARAMETERS[key]
     size = abs(value(model, key)) if row.relative else 1.0
     return row.plausible[0] * size, row.plausible[1] * size
@@ -150,7 +155,7 @@ def is_unstated(model: VehicleModel, key: str) -> bool:
 
 
 def model_error(model: VehicleModel, key: str) -> float:
-    """Error of the equations themselves in a parameter, as one standard deviation."""
+    """Return the error of the equations in a parameter, as one standard deviation."""
     stated = MODEL_ERROR.get(family(key), 0.0)
     if key.startswith("gyro.scale."):
         upright = float(abs(mount_of(model)[2, int(key[-1])]))
@@ -165,7 +170,7 @@ def extended(
     model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None
 ) -> VehicleModel:
     """Return the model file with changes applied. known_to: by key, the half width of the interval
-    in which the number now lies."""
+    that contains the true number."""
     made: dict[str, Any] = {}
     R = mount_of(model)
     for name in TRIADS:
@@ -197,7 +202,7 @@ def extended(
 
 
 def _is_plain(model: VehicleModel, key: str) -> bool:
-    """True if a key stands for a single number of the file, or for the wheels' scale."""
+    """True if a key is a single number of the file, or the scale of the wheel speeds."""
     if key.endswith("delay_s"):
         return False
     section, _, name = key.partition(".")
@@ -211,8 +216,8 @@ def _sum(stated: Sequence[float], change: Array) -> tuple[float, ...]:
 def _write_triad(
     made: dict[str, Any], model: VehicleModel, name: str, changes: Changes, R: Matrix3
 ) -> None:
-    """Write the changes of a triad; vectors along the vehicle's axes are turned into sensor
-    axes."""
+    """Write the changes of a triad into `made`. Vectors along the vehicle's axes are rotated into
+    sensor axes."""
     triad = getattr(model, name)
     gain = sensor_of(model, name, changes).gain
     for what in ("bias", "bias_temperature"):
@@ -228,8 +233,8 @@ def _write_triad(
 
 
 def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> Array:
-    """Zero error that cancels the effect of a gain change on one g upright. `Changes` define a gain
-    so that the reading at one g stays the same."""
+    """Return the zero error that cancels the effect of a gain change on the reading at one g
+    upright. `Changes` define a gain so that the reading at one g stays the same."""
     level = R.T @ np.array([0.0, 0.0, GRAVITY])
     if name == "gyro":
         return np.asarray(-_indexed(changes, "gyro.g_sensitivity", 3) * level)
@@ -238,8 +243,8 @@ def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> A
 
 
 def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
-    """Zero error along the vehicle's axes that a gain error of the accelerometer causes at one g,
-    per unit of the gain."""
+    """Return the zero error along the vehicle's axes that a gain error of the accelerometer causes
+    at one g, per unit of the gain."""
     R = mount_of(model)
     change = sensor_of(model, "accel", {key: 1.0}).gain - sensor_of(model, "accel", {}).gain
     offset = R @ change @ R.T @ np.array([0.0, 0.0, GRAVITY])
@@ -247,11 +252,11 @@ def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
 
 
 def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
-    """Return the delays, none of them negative. If the age of one signal would be negative, the
-    ages of all others are increased instead.
+    """Return the delays of all signals. No delay is negative. If the age of one signal would be
+    negative, the ages of all signals are increased by the same time.
 
-    Delays are limited to the range of the file, because a fit of data that no delay explains
-    diverges.
+    Delays are limited to the range of the file, because the fit diverges if no delay explains the
+    data.
     """
     moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
     if not moved:
@@ -268,8 +273,8 @@ def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
 
 
 def low_pass(model: VehicleModel, key: str, x: float) -> tuple[str, float] | None:
-    """Key and value of the filter that delays a signal by x [s] more than the file says. None if
-    the file has no place for such a filter. key: that of the delay."""
+    """Return key and value of a low-pass filter that delays a signal by x [s] more than the file
+    states. None if the file has no place for such a filter. key: key of the delay."""
     name = key.partition(".")[0]
     seconds = age(model, name) - getattr(model, name).delay_s + x
     if seconds <= 0.0 or name == "wheel_speeds":
@@ -280,8 +285,8 @@ def low_pass(model: VehicleModel, key: str, x: float) -> tuple[str, float] | Non
 
 
 def with_low_passes(model: VehicleModel, stated: VehicleModel, late: Changes) -> VehicleModel:
-    """Return the model file with filters in place of delays. stated: the file before. late: the
-    part of each delay that the filter makes [s]."""
+    """Return the model file with filters in place of delays. stated: model file before the
+    diagnosis. late: for each delay, the part that the filter causes [s]."""
     made: dict[str, float] = {}
     for key, x in late.items():
         name = key.partition(".")[0]
@@ -292,8 +297,8 @@ def with_low_passes(model: VehicleModel, stated: VehicleModel, late: Changes) ->
 
 
 def rear_slip(model: VehicleModel) -> float:
-    """Sideslip speed at the rear axle, divided by speed and lateral acceleration: m l_f / (L C_r)
-    [s^2/m]."""
+    """Return the sideslip speed at the rear axle, divided by speed and lateral acceleration: m l_f
+    / (L C_r) [s^2/m]."""
     c = model.chassis
     return c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
 
@@ -316,8 +321,8 @@ def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> V
 
 
 def with_delay_rate(changes: Changes, middle_s: float) -> dict[str, float]:
-    """Return changes with the delay at the start of the drive; the fit counts its growth from the
-    middle."""
+    """Return the changes with the delay at the start of the drive. In the fit, the delay is that of
+    the middle of the drive."""
     rate = changes.get("speed.delay_rate", 0.0)
     made = dict(changes)
     if rate:

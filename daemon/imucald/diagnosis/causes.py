@@ -1,13 +1,13 @@
 """The catalogue of possible errors of a model file, as data.
 
-Each parameter has one row: its unit; its `tolerance` (half width of the error that a correct model
-file may have) with the source; its `plausible` range for a real vehicle or sensor; and the signals
-that it needs. Each cause has one row: its parameters and its texts. The fitter reads the rows and
-has no special case for any cause.
+Each parameter has one row with its unit, its `tolerance` and the source of the tolerance, its
+`plausible` range for a real vehicle or sensor, and the signals that it needs. The `tolerance` is
+the half width of the error that a correct model file may have. Each cause has one row with its
+parameters and its texts. The fit reads the rows and has no special case for any cause.
 
 Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), because a
-drive separates these. Vectors that belong to the sensor's own axes have an index instead. A key
-that begins with `_` has no place in the model file.
+drive shows the components along these axes separately. Vectors in sensor axes have an index
+instead. A key that begins with `_` has no place in the model file.
 """
 
 from __future__ import annotations
@@ -31,37 +31,40 @@ class Parameter:
     source: str
     """Source of the tolerance."""
     plausible: tuple[float, float]
-    """Range of the departure from the model file."""
+    """Range of the difference from the model file."""
     needs: tuple[str, ...] = ()
-    """Signals that are needed to see the parameter."""
+    """Signals that are needed to estimate the parameter."""
     relative: bool = False
-    """True: the numbers above are relative to the model file's value."""
+    """True if tolerance and range are relative to the value of the model file."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A named set of parameters that are wrong together. Each of `variants` is tried separately."""
+    """A named set of parameters that can be wrong together. The fit tests each of `variants`
+    separately."""
 
     name: str
     variants: tuple[tuple[str, ...], ...]
     sentence: str
     separate: str
-    """The manoeuvre that separates the cause from similar ones."""
+    """The manoeuvre that distinguishes the cause from similar causes."""
     generic: bool = False
-    """True: a gain, an offset or a delay of a signal without a physical reason."""
+    """True for a gain, an offset or a delay of a signal without a physical reason."""
     together: tuple[str, ...] = ()
-    """Parameters that are also tried with one common value."""
+    """Parameters that are also tested with one common value."""
     with_it: tuple[tuple[str, float], ...] = ()
-    """Keys and factors of parameters that move with the cause, as one more form of it."""
+    """Keys and factors of parameters that change with the cause. A change together with these
+    parameters is one more form of the cause."""
     drift: bool = False
-    """True: tried as a linear growth over the drive."""
+    """True if the cause is tested as a linear growth over the drive."""
     lead: int = 0
-    """Number of leading parameters of which at least one must be wrong; 0: any parameter is
+    """Number of first parameters of which at least one must be wrong; 0: any wrong parameter is
     enough."""
     joins: bool = False
-    """True: variants are also tried together, as long as each one improves the prediction."""
+    """True if variants are also tested together, as long as each variant improves the
+    prediction."""
     form_of: str = ""
-    """Name of another cause with the same parameters. If that cause is found, the present one may
+    """Name of another cause with the same parameters. If the other cause is found, this cause may
     be the true cause."""
 
 
@@ -163,8 +166,9 @@ PARAMETERS = {row.key: row for row in _ROWS}
 
 
 def family(key: str) -> str:
-    """Return the vector's name, such as `accel.bias` for `accel.bias.x`: its components mix when
-    axes are turned. A key without components is returned unchanged."""
+    """Return the name of the vector of a key, such as `accel.bias` for `accel.bias.x`. The
+    components of a vector mix when axes are rotated. A key without components is returned
+    unchanged."""
     stem, _, last = key.rpartition(".")
     return stem if last in ("x", "y", "z") or last.isdigit() else key
 
@@ -179,16 +183,17 @@ MODEL_ERROR: dict[str, float] = {
     "mount.lever_arm_m": 0.05, "suspension.roll_gradient": 0.0015,
     "suspension.squat_gradient": 0.0003, "suspension.dive_gradient": 0.0004,
 }  # fmt: skip
-"""Error of the equations themselves, one standard deviation, by key or beginning of a key. The
-error is the rms of the fitted value when the model file is exactly right (ten drives of the second
-generator, seeds 1,160,000 to 1,160,009, which are not used for evaluation). The error was measured
-while slope and cross fall were modelled as noise of a block; without that model the numbers agree
-to 7 %. The lever arm's 0.012 m is not used: a tenth of a car's rear tyre slip, 0.0004 s^2/m, moves
-the point without sideways speed by 0.05 m at 40 km/h. This error does not shrink in longer drives,
-so every deviation includes it. In a measured log, the comparison with GNSS speed gave the same
-error again for the speed's gain."""
+"""Error of the equations, one standard deviation, by key or beginning of a key.
+
+The error is the rms of the fitted value when the model file is exactly right (ten drives of the
+second generator, seeds 1,160,000 to 1,160,009, which are not used for evaluation). The error was
+measured while slope and cross fall were modelled as noise of a block. Without that model, the
+numbers agree to 7 %. The measured error of the lever arm, 0.012 m, is replaced by 0.05 m: a tenth
+of a car's rear tyre slip, 0.0004 s^2/m, moves the point without sideways speed by 0.05 m at 40
+km/h. The error of the equations is as large in longer drives, so every deviation includes it. In a
+measured log, a comparison with GNSS speed gave the same error for the gain of the speed."""
 LEVEL_GYRO_GAIN_ERROR = 0.018
-"""Error of the equations in a gyroscope gain about a horizontal axis: only slopes of the road show
+"""Error of the equations in a gyroscope gain about a horizontal axis. Only slopes of the road show
 such a gain."""
 
 

@@ -1,5 +1,5 @@
-"""The whole path of a diagnosis, from samples to verdict: find the errors, name their causes,
-extend the model file, measure the gain.
+"""All steps of a diagnosis, from samples to verdict: find the errors, name their causes, extend the
+model file, measure the gain.
 
 samples -> faults (samples and stamps) -> rest (stops) -> search (shift, causes, rivals)
         -> left-over structure -> the written file -> its gain
@@ -84,29 +84,30 @@ from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
 LIMIT_S_PER_H = 40.0
-"""Limit of the search's processor time per hour of driving; then the search ends with its present
-result. The steps after the search take up to 15 s more per hour of driving."""
+"""Limit of the search's processor time per hour of driving [s]. At this limit, the search ends with
+its present result. The steps after the search take up to 15 s more per hour of driving."""
 LEAST_LIMIT_S = 10.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
-"""Kinds of structure after which no fit is trusted."""
+"""Kinds of left-over structure with which no fit is trusted."""
 NOT_AS_STATED = (
     LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
 )  # fmt: skip
-"""Kinds of structure after which the file's statements about its own drives are not updated."""
+"""Kinds of left-over structure with which the model file's statements about its own drives are not
+updated."""
 READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are found from the sequence of a signal's values."""
 ONE_SENSOR = ("accel", "gyro")
-"""Signals that come from one sensor, over one wire."""
+"""Signals that come from one sensor, over one connection."""
 MOVES = (WANDERS, GOES_WITH_ANOTHER)
-"""Structure of a zero error that changes during the drive."""
+"""Kinds of structure in which a zero error changes during the drive."""
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
-"""Structure of raw values that arises between sensor and log."""
+"""Kinds of structure in raw values that arise between sensor and log."""
 HALF = 0.5
-"""Smallest ratio of a written half width (`known_to`) to the tolerance. All parts of one drive
-share temperature, load and weather."""
+"""Smallest ratio of a written half width (`known_to`) to the tolerance. A drive has one
+temperature, one load and one weather, so its true accuracy is not better."""
 
 
 def diagnose(
@@ -117,10 +118,11 @@ def diagnose(
 ) -> Diagnosis:
     """Find the errors of the simulation with this model in measured drives of one vehicle.
 
-    drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
-    minutes of them. limit_s: processor time after which the search stops and its result so far is
-    reported; None: by `LIMIT_S_PER_H`, but at least `LEAST_LIMIT_S`.
-    Raises EstimateError if nothing can be diagnosed.
+    drives: SI samples, sensor axes (see `imucald.core.samples`). Each drive needs several minutes
+    of `accel` and `speed`. limit_s: processor time after which the search stops and its present
+    result is reported [s]. None: `LIMIT_S_PER_H` for each hour of driving, but at least
+    `LEAST_LIMIT_S`.
+    Raises EstimateError if no diagnosis is possible.
     """
     report = progress or _silent
     began = time.process_time()
@@ -196,8 +198,9 @@ def diagnose(
 
 
 def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, float]:
-    """Return the rms residual of each signal with this model file [the signal's unit], as in
-    `SignalGain.rms_before`. No cause is searched. Raises as `diagnose` does."""
+    """Return the rms residual of each signal with this model file [unit of the signal], as in
+    `SignalGain.rms_before`. No cause is searched. Raises EstimateError if no diagnosis is possible.
+    """
     table = _begun(drives, model, _silent)[-1].evaluated().table
     return {name: rms for name in table.plain if (rms := table.rms(name))}
 
@@ -212,9 +215,11 @@ def _begun(
     Rest | None,
     State,
 ]:
-    """Do all steps before the search. Returns lost readings and faults of each drive, other
-    structure in raw values, the drives' signals, the evidence of stops, and the search state of the
-    drives with the model file."""
+    """Do all steps before the search.
+
+    Returns the lost readings of each drive, the faults of each drive, other structure in raw
+    values, the signals of each drive, the evidence of stops, and the initial state of the search.
+    """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
     for samples in drives:
@@ -243,16 +248,16 @@ def _signals(
     lost: Sequence[dict[str, Lost]],
     held: bool = False,
 ) -> list[DriveSignals]:
-    """Each drive's signals without the samples that faults and lost readings make invalid. held: at
-    a rail, remove only the samples on the rail, because the sequence of the neighbouring samples is
-    tested."""
+    """Return the signals of each drive, without the samples that faults and lost readings make
+    invalid. held: at the end of a range, remove only the samples with the end value, because the
+    sequence of the neighbouring samples is tested."""
     bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 
 def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
-    """Structure in raw values that no healthy signal shows, apart from faults. These questions need
-    no fit and have their own false-discovery rate."""
+    """Return structure in raw values that no healthy signal shows. Faults are not included. These
+    tests need no fit and have their own false-discovery rate."""
     return beyond_chance(
         [
             *coarser(parts, model),
@@ -265,9 +270,9 @@ def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
 
 
 def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
-    """True if other structure in the same signal may explain a fault. Rails, constant values and
-    repeated frames are found from the sequence of samples. They prove nothing if something between
-    sensor and log has changed that sequence."""
+    """True if another structure in the same signal may explain a fault. Values at the end of a
+    range, constant values and repeated frames are found from the sequence of samples. Such a fault
+    is not certain if something between sensor and log has changed the sequence."""
     if fault.cause not in READ_FROM_VALUES:
         return False
     beside = ONE_SENSOR if fault.signal in ONE_SENSOR else (fault.signal,)
@@ -277,15 +282,17 @@ def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
 def _is_recommended(
     causes: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
 ) -> bool:
-    """True if the written file predicts data outside its fit better, or states directly read facts.
-    In both cases the fit must also be trustworthy."""
+    """True if the fit is trustworthy and the written model file is better.
+
+    The model file is better if it predicts data outside its fit better, or if it states facts that
+    were read directly from the data."""
     if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
     return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
 
 
 def _left(state: State) -> tuple[Structure, ...]:
-    """Structure that no cause explains."""
+    """Return the structure that no cause explains."""
     problem = state.evaluated()
     drift = drift_of(problem, state)
     spectra = spectra_of(problem, state.forwards)
@@ -310,7 +317,7 @@ def _left(state: State) -> tuple[Structure, ...]:
 
 
 def _beside_stated(problem: Problem, state: State) -> list[Question]:
-    """Questions that compare these drives with the model file's own drives."""
+    """Return the tests that compare these drives with the drives of the model file."""
     stated = state.stated
     if not stated.leaves:
         return []
@@ -323,12 +330,13 @@ def _beside_stated(problem: Problem, state: State) -> list[Question]:
 
 
 def _silent(share: float, text: str) -> None:
-    """Progress function for callers that want no progress."""
+    """Progress function for callers that need no progress."""
 
 
 @dataclass
 class _Late:
-    """Callable that returns whether the time limit has passed. It remembers if this was ever so."""
+    """Callable that returns whether the time limit has passed. It stores whether it ever returned
+    True."""
 
     until: float
     was: bool = False
@@ -348,7 +356,8 @@ def _with_faults(model: VehicleModel, faults: Sequence[Sequence[Fault]]) -> Vehi
 
 
 def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | None) -> State:
-    """Return the search state at the start. The gyroscope's zero at stops bounds every fit."""
+    """Return the initial state of the search. The gyroscope's zero error at stops limits every
+    fit."""
     state = State(parts, model, model, {})
     if rest is None:
         return state
@@ -367,23 +376,22 @@ def _is_off(rest: Rest, model: VehicleModel) -> bool:
 
 
 def _shows_zero(left: Sequence[Structure]) -> bool:
-    """True if the gyroscope's mean at stops is its zero for the whole drive. It is False if that
-    mean may be a value that the sensor shows for all small rates, or if the zero changes during the
-    drive."""
+    """True if the gyroscope's mean at stops is its zero error in the whole drive. False if the
+    sensor may show this mean for all small rates, or if the zero error changes during the drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
     return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
-    """Return the zero at stops without the effect of a found g-sensitivity at one g."""
+    """Return the zero error at stops without the effect of a found g-sensitivity at one g."""
     R = mount_of(model)
     net = R @ (np.array(state.model.gyro.bias) - np.array(state.stated.gyro.bias))
     return replace(rest, rate=net)
 
 
 def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
-    """Raise EstimateError if too little data is left. The text names faults if these removed the
-    data, since longer drives would not help then."""
+    """Raise EstimateError if too little data is left. If faults have removed the data, the text
+    names these faults, because longer drives would not help."""
     if table.blocks >= LEAST_BLOCKS:
         return
     taken = [fault.text for part in faults for fault in part if fault.spans]
@@ -397,7 +405,8 @@ def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
 def _certain_causes(
     state: State, rest: Rest | None, faults: Sequence[Sequence[Fault]], model: VehicleModel
 ) -> list[FoundCause]:
-    """All causes that are certain: direct evidence, shift, fit."""
+    """Return all causes that are certain: from direct evidence, from a shift of the mount, and from
+    the fit."""
     estimates = final_estimates(state)
     causes = [outcome.cause_of_trial(state, t, estimates) for t in state.named]
     if rest is not None and state.at_rest and _is_off(at := _zero_of(rest, state, model), model):
@@ -415,7 +424,7 @@ def _fault_causes(
 
 
 def _merged(causes: Sequence[FoundCause]) -> list[FoundCause]:
-    """Return one entry for each cause, even if several signals or variants show it."""
+    """Return one entry for each cause, even if several signals or variants show the cause."""
     made: dict[str, FoundCause] = {}
     for one in causes:
         known = made.get(one.name)
@@ -433,7 +442,7 @@ def _merged(causes: Sequence[FoundCause]) -> list[FoundCause]:
 
 
 def _written(state: State, problem: Problem) -> VehicleModel:
-    """Return the extended model file, with the accuracy (`known_to`) of the numbers found."""
+    """Return the extended model file, with the accuracy (`known_to`) of the fitted numbers."""
     known: dict[str, float] = {}
     table, q = problem.table, quantile(problem.table.blocks, 1)
     for key in (*state.free, *state.unstated):

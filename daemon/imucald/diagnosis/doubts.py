@@ -1,4 +1,4 @@
-"""Withdraw named causes that other findings may explain. Withdrawn causes count only as not ruled
+"""Withdraw named causes that other findings may explain. A withdrawn cause only counts as not ruled
 out."""
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
-"""Kinds of structure that bias no value: causes from a fit stay named."""
+"""Kinds of structure that change no fitted value. Causes from a fit stay named with them."""
 NO_STEP = (GOES_WITH_ANOTHER, FOLLOWS_OTHERWISE, TOO_MUCH)
-"""Structure that a turned sensor does not cause. A turn by 10 deg makes zeros and gains seem to
-wander, because the fit follows it only to first order and to the nearest segment."""
+"""Kinds of structure that a rotated sensor does not cause. A rotation by 10 deg makes zero errors
+and gains seem to wander, because the fit follows a rotation only to first order and to the nearest
+segment."""
 
 
 USES = {
@@ -39,12 +40,13 @@ USES = {
     "accel_y": (*TAKES["accel_y"], "speed"),
     "yaw_rate": (*TAKES["yaw_rate"], "speed"),
 }
-"""Signals that each equation uses: those of `TAKES`, which limit its frequency band, and the speed
-where an equation uses it without such a limit."""
+"""Signals that each equation uses. These signals are the signals of `TAKES`, which limit its
+frequency band, and the speed, where an equation uses the speed without such a limit."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
-    """Withdraw each named cause that left-over structure, a fault or a low-pass may explain."""
+    """Withdraw each named cause that left-over structure, a fault or a low-pass filter may
+    explain."""
     every = [fault for part in faults for fault in part]
     changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
@@ -102,8 +104,8 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
 
 def unexplained(left: Sequence[Structure]) -> set[str]:
     """Return the equations that use a signal which may cause the left-over structure. Every signal
-    of an affected equation may cause it. The speed is used by most equations, so it counts only in
-    comparisons with another speed."""
+    of an equation with left-over structure may be the cause. Most equations use the speed, so the
+    speed counts only in comparisons with another speed."""
     signals: set[str] = set()
     for s in left:
         if s.signal in TAKES:
@@ -116,10 +118,12 @@ def unexplained(left: Sequence[Structure]) -> set[str]:
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
-    """True if a found gain may be the amplitude loss of a low-pass that also shows as a found delay
-    x. At frequency w such a filter leaves 1/sqrt(1 + (w x)^2), so about (w x)^2/2 is missing. w^2
-    is the ratio of the delay column's energy to the gain column's energy, both with all parameters
-    that move with them, over the equations in which the gain shows."""
+    """True if a found gain may come from a low-pass filter that also causes a found delay.
+
+    At frequency w, a filter with the delay x leaves 1/sqrt(1 + (w x)^2) of the amplitude, so about
+    (w x)^2/2 is missing. w^2 is the ratio of two energies: of the delay's column and of the gain's
+    column. Both columns include all parameters that change with the parameter. The energies are
+    taken from the equations in which the gain is visible."""
     h = trial.hypothesis
     if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False
@@ -138,8 +142,8 @@ def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, f
 
 
 def _energy(gram: Array, table: Table, direction: Mapping[str, float]) -> float:
-    """Sum of squares of a column, or of several columns that move together, from Gram matrices (B,
-    ., .)."""
+    """Return the sum of squares of a column, or of several columns with fixed ratios, from Gram
+    matrices (B, ., .)."""
     index = [1 + i for i in table.index(tuple(direction))]
     x = np.array(list(direction.values()))
     return float(x @ gram.sum(axis=0)[np.ix_(index, index)] @ x)

@@ -1,7 +1,7 @@
 """The gain of the written model file alone, without a further fit. *After* is the residual of these
-drives with the written file; a new comparison gives the same residual. The value of the file is
+drives with the written file. A new comparison with this file gives the same residual. The gain is
 measured on data outside the fit (cross-validation): the found parameters are fitted without one
-fold, and that fold is predicted with these parameters alone.
+fold, and this fold is predicted with these parameters alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ LEFT_SE = 3.0
 
 
 def found_by_fold(problem: Problem, free: Sequence[str]) -> Array:
-    """(B, P) departures of the found parameters, for each block from a fit without its fold."""
+    """Return differences (B, P) of the found parameters. The values of each block come from a fit
+    without the fold of the block."""
     table = problem.table
     index = table.index([k for k in free if k in table.keys])
     total = table.gram.sum(axis=0)
@@ -50,9 +51,11 @@ def gain_of(
     forwards: Sequence[Forward],
     held_out: Array | None = None,
 ) -> tuple[Gain, dict[str, SignalGain]]:
-    """Compare the stated model file with the written one. before, after: tables with these models.
-    whole: `after` with the equations that no fit uses. held_out: (B,) nats of causes that are not
-    in `free`, by fits that did not use the block; None without such causes."""
+    """Compare the stated model file with the written model file.
+
+    before, after: tables with the stated and with the written model file. whole: `after`, also with
+    the equations that no fit uses. held_out: (B,) nats of causes that are not in `free`, from fits
+    that did not use the block; None without such causes."""
     table = after.table
     x = found_by_fold(after, free)
     signals, worse = {}, []
@@ -78,14 +81,16 @@ def gain_of(
 
 
 def summed(gain: Array, worse: Sequence[str] = ()) -> Gain:
-    """Sum of the nats of all blocks (B,), with the confidence interval from their scatter."""
+    """Return the sum of the nats of all blocks (B,), with the confidence interval from the scatter
+    of the blocks."""
     total = float(gain.sum())
     spread = Z95 * float(np.sqrt(len(gain)) * np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
     return Gain(total, (total - spread, total + spread), tuple(worse))
 
 
 def _weighted_losses(before: Table, after: Table) -> Array:
-    """Losses of the stated model, with the weights of the written one, scaled by equation."""
+    """Return the losses of the stated model with the weights of the written model, scaled by
+    equation."""
     made = np.zeros(before.blocks)
     for name, gram in after.by_equation.items():
         power = after.plain[name][:, :, 0, 0].sum(axis=1)
@@ -96,8 +101,8 @@ def _weighted_losses(before: Table, after: Table) -> Array:
 
 
 def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
-    """True if an equation is worse by two standard errors of the difference over blocks, and by
-    more than 1 %."""
+    """True if the residual of an equation is larger with the written file: by two standard errors
+    of the difference over blocks, and by more than 1 %."""
     z = np.concatenate([np.ones((after.blocks, 1)), -x], axis=1)
     new = np.einsum("bi,bkij,bj->b", z, after.plain[name], z)
     old = before.plain[name][:, :, 0, 0].sum(axis=1)
@@ -109,7 +114,8 @@ def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
 
 
 def _floor(table: Table, name: str) -> float:
-    """Rms residual after a fit of all parameters to this signal's own blocks."""
+    """Return the rms residual after a fit of all parameters. The result is at most the present rms
+    residual."""
     total = table.gram.sum(axis=0)
     wide = np.abs(table.plausible).max(axis=1)
     x = np.linalg.solve(total[1:, 1:] + np.diag(1.0 / wide**2), total[1:, 0])
@@ -117,8 +123,8 @@ def _floor(table: Table, name: str) -> float:
 
 
 def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
-    """By equation, in words: offset and drift in the residual that exceed the scatter of the
-    blocks."""
+    """Return, by equation and in words, offset and drift of the residual that exceed the scatter of
+    the blocks."""
     texts = {}
     f = max(forwards, key=lambda f: f.blocks)
     masks = f.usable()

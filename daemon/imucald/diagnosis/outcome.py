@@ -41,10 +41,10 @@ from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
 MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
-"""Kinds of structure that contradict the model: a cause is missing, regardless of direct
-evidence."""
+"""Kinds of structure that contradict the model: a cause is missing, whatever the direct evidence
+is."""
 SEEN_SHARE = 0.02
-"""A signal shows a cause if it carries this share of the cause's information."""
+"""Smallest share of a cause's information in a signal that shows the cause."""
 DEG = 180.0 / math.pi
 
 
@@ -54,7 +54,7 @@ def cause_of_trial(
     estimates: Mapping[str, tuple[float, float, float]],
     certainty: Certainty = "certain",
 ) -> FoundCause:
-    """Return a cause that the fit named, or that is likely."""
+    """Return a cause that the fit named, or a cause that is likely."""
     h, parameters = trial.hypothesis, {}
     moved = set(state.changes)
     alike = [(i, k) for i, d in enumerate(h.directions) for k, x in d.items() if x == 1.0]
@@ -84,8 +84,8 @@ def cause_of_trial(
 
 
 def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, Estimated]:
-    """Convert a delay to the file's low-pass, if it has one. The cut-off's relative accuracy is
-    that of the delay."""
+    """Convert a delay to the low-pass filter of the model file, if the file has one. The relative
+    accuracy of the cut-off frequency is the relative accuracy of the delay."""
     filtered = low_pass(model, key, late.value - late.stated)
     if filtered is None or late.value <= late.stated:  # a filter cannot have a negative delay
         return key, late
@@ -98,8 +98,8 @@ def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, E
 
 
 def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleModel) -> FoundCause:
-    """Return the cause with vectors also along the sensor's axes, by the file's key. Values are
-    those of the written file, or of the fit if the file was not changed."""
+    """Return the cause with its vectors also along the sensor's axes, by the key of the model file.
+    The values are the values of the written file, or of the fit if the file was not changed."""
     made: dict[str, Estimated] = {}
     R = mount_of(stated)
     for stem in dict.fromkeys(family(key) for key in cause.parameters):
@@ -128,7 +128,7 @@ def _as_stated(model: VehicleModel, key: str) -> Estimated:
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
-    """Equations that show the parameters, chosen by their share of the information."""
+    """Return the equations that show the parameters, selected by their share of the information."""
     if table is None:
         return ()
     index = [i + 1 for i in table.index([k for k in keys if k in table.keys])]
@@ -142,13 +142,13 @@ def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
 
 
 def first_signal(table: Table | None, keys: Sequence[str]) -> str:
-    """The first signal that shows the parameters; `accel_x` if none does."""
+    """Return the first signal that shows the parameters; `accel_x` if no signal shows them."""
     return (signals_of(table, keys) or ("accel_x",))[0]
 
 
 def _against(state: State, trial: Trial) -> list[str]:
-    """Return the arguments against a cause: single blocks, a wandering value, rivals, a fit at its
-    bound."""
+    """Return the arguments against a cause: single blocks, a value that wanders, rivals, few
+    segments."""
     texts = []
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
@@ -174,7 +174,7 @@ _SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
 
 
 def cause_of_fault(fault: Fault, model: VehicleModel) -> FoundCause:
-    """Return the cause for a fault in samples or stamps."""
+    """Return the cause for a fault in samples or time stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
         stated = math.nan if key.startswith("_") else _stated(model, key)
@@ -216,7 +216,7 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
 
 
 def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
-    """Return the cause for a turn of the sensor in mid-drive."""
+    """Return the cause for a rotation of the sensor in the middle of a drive."""
     parameters = {
         f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
         for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
@@ -241,8 +241,8 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
 
 
 def other_candidates(state: State) -> tuple[Candidate, ...]:
-    """Return every cause that was not named, with the size from which these drives would have shown
-    it."""
+    """Return every cause that was not named, and the size from which these drives would have shown
+    the cause."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
     doubtful = {t.hypothesis.name: t for t in state.doubtful}
     made = []
@@ -280,8 +280,8 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
 
 
 def _freed(state: State, name: str) -> dict[str, Estimated]:
-    """Estimates of the parameters of all forms of a cause. Each form is fitted separately, together
-    with the causes found."""
+    """Return estimates of the parameters of all forms of a cause. Each form is fitted separately,
+    together with the causes found."""
     made: dict[str, Estimated] = {}
     for t in state.last:
         if t.hypothesis.name != name or t.hypothesis.pattern is not None:
@@ -295,7 +295,7 @@ def _freed(state: State, name: str) -> dict[str, Estimated]:
 
 
 def _with_unit(text: str, key: str) -> str:
-    """Text of a parameter's number with its unit; a pure number has no unit."""
+    """Return the text of a parameter's number with its unit. A pure number has no unit."""
     unit = PARAMETERS[key].unit
     return text if unit in ("", "1") else f"{text} {unit}"
 
@@ -305,7 +305,7 @@ def _n(x: float) -> str:
 
 
 def implausible(state: State) -> tuple[Structure, ...]:
-    """Explanations that fit the numbers but are physically implausible."""
+    """Return explanations that fit the numbers but are physically implausible."""
     made = []
     for t in state.implausible:
         i = int(np.argmax(np.abs(t.estimate.value) / np.abs(t.plausible).max(axis=1)))
@@ -325,7 +325,7 @@ def implausible(state: State) -> tuple[Structure, ...]:
 
 
 def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
-    """Sets of causes that these drives cannot distinguish."""
+    """Return sets of causes that these drives cannot distinguish."""
     sets = []
     for trial in state.named:
         others = [t.hypothesis.name for t in state.rivals.get(trial.hypothesis.name, [])]
@@ -353,7 +353,7 @@ def of_signal(
     sets: Sequence[Sequence[str]],
     structure: Sequence[Structure],
 ) -> Verdict:
-    """Verdict of one equation, from the causes that show in it and its left-over structure."""
+    """Return the verdict of one equation, from its causes and its left-over structure."""
     own = [cause for cause in causes if any(_is_of(signal, name) for signal in cause.signals)]
     names = {cause.name for cause in own}
     return verdict_of(
@@ -372,7 +372,7 @@ def _is_of(signal: str, equation: str) -> bool:
 def verdict_of(
     causes: Sequence[FoundCause], sets: Sequence[Sequence[str]], structure: Sequence[Structure]
 ) -> Verdict:
-    """The verdict of the whole diagnosis: one of four."""
+    """Return one of the four verdicts of the whole diagnosis."""
     if any(s.kind in MISSING for s in structure):
         return "unknown"
     if causes:

@@ -1,5 +1,5 @@
-"""Numbers for the page's pictures: residual against time, against the input that it depends on, and
-against frequency."""
+"""Numbers for the pictures of the report page: residual over time, over the input on which it
+depends most, and over frequency."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SEGMENT = 256
 
 
 def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[SignalPicture, ...]:
-    """Return one picture for each signal; the drives follow each other."""
+    """Return one picture for each signal. The drives are drawn one after another."""
     parts = [_one(a, b) for a, b in zip(before, after, strict=True)]
     starts = np.concatenate([[0.0], np.cumsum([f.t[-1] - f.t[0] + STEP_S for f in before])])
     t = np.concatenate([f.t - f.t[0] + s for f, s in zip(before, starts, strict=False)])
@@ -42,7 +42,8 @@ def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[Si
 
 
 def _one(before: Forward, after: Forward) -> Mapping[str, tuple[Array, Array, Array]]:
-    """By equation: measured signal, residual before and after, (N,) each; NaN if not present."""
+    """Return, by equation, the measured signal, the residual before and the residual after, (N,)
+    each. NaN where the signal is not present."""
     masks = before.usable()
     measured = before.measured()
     old, new = (f.level(f.residuals({}), f.usable()) for f in (before, after))
@@ -56,7 +57,7 @@ def _one(before: Forward, after: Forward) -> Mapping[str, tuple[Array, Array, Ar
 
 
 def _spectrum(x: Array) -> tuple[Array, Array]:
-    """One-sided spectral density [unit^2/Hz]; gaps are filled with zeros."""
+    """Return the one-sided spectral density [unit^2/Hz]. Gaps are filled with zeros."""
     good = np.isfinite(x)
     if good.sum() < SEGMENT:
         return np.array([0.1, 1.0]), np.full(2, np.nan)
@@ -65,7 +66,7 @@ def _spectrum(x: Array) -> tuple[Array, Array]:
 
 
 def _drivers(forwards: Sequence[Forward], t: Array) -> Mapping[str, Array]:
-    """Inputs that a residual may depend on."""
+    """Return the inputs on which a residual may depend."""
     speed = np.concatenate([np.interp(f.t, f.knots, f.drive.knots.values) for f in forwards])
     made = {"speed [m/s]": speed, "dv/dt [m/s^2]": np.gradient(speed, STEP_S), "time [s]": t}
     if all(f.has_turning for f in forwards):
@@ -78,7 +79,7 @@ def _drivers(forwards: Sequence[Forward], t: Array) -> Mapping[str, Array]:
 
 
 def _closest(residual: Array, drivers: Mapping[str, Array]) -> str:
-    """The input whose correlation with the residual is largest."""
+    """Return the input whose correlation with the residual is largest."""
     fine = np.isfinite(residual)
     best, most = next(iter(drivers)), -1.0
     for name, x in drivers.items():

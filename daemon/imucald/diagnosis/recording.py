@@ -23,37 +23,40 @@ from imucald.inputs.wiring import compile_router
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 TRIADS = ("accelerometer", "gyroscope", "magnetometer")
-"""Keys of the configuration that may name several sensors, each in axes of its own."""
+"""Keys of the configuration that may name several sensors, each with axes of its own."""
 
 SAME_CHANGES = 64
-"""A sequence of this many new values of sensor noise never occurs twice; `can.logs.first_frames`
-uses the same for frames. A sensor that shows one constant value at standstill proves nothing."""
+"""Number of successive new values of sensor noise that never occur twice. `can.logs.first_frames`
+uses the same number for frames. A sensor that shows one constant value at standstill cannot show
+that two recordings are equal."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One drive as a log holds it. Times are stream time: seconds from the first configured
+    """One drive as recorded in a log. Times are stream times: seconds since the first configured
     frame."""
 
     name: str
-    """The log's file name; if the recording has several logs, the name of the first one."""
+    """File name of the log. If the recording has several logs, the name of the first log."""
     samples: Samples
-    """By channel (see `imucald.core.samples`), SI; a channel that never came is absent."""
+    """Samples in SI units, by channel (see `imucald.core.samples`). A channel without samples is
+    absent."""
     duration_s: float
     """Stream time of the last configured frame [s]."""
     frames_read: int
-    """Number of all valid frames of the log, configured or not."""
+    """Number of all valid frames of the log, including frames that are not configured."""
     rejected: Mapping[str, int]
-    """Bad lines, frames and samples by reason."""
+    """Number of bad lines, rejected frames and rejected samples, by reason."""
     gaps: tuple[float, ...] = ()
-    """Stream times at which a new segment begins, after a gap or a step of the clock [s]."""
+    """Stream times [s] at which a new segment begins, after a gap or a step of the clock."""
     cycle_s: Mapping[str, float] = field(default_factory=dict)
-    """By channel, the message's cycle time as the database states it [s]; absent if the database
-    does not state it."""
+    """Cycle time of the message, by channel [s], as the database states it; absent if the database
+    has no cycle time."""
     planar: bool = False
-    """True: the accelerometer has no z axis, and its third value is declared as one g."""
+    """True if the accelerometer has no z axis. The third value of such an accelerometer is declared
+    as one g."""
     problems: tuple[str, ...] = ()
-    """The first bad lines, as texts with file and line."""
+    """The first bad lines, as texts with file and line number."""
 
 
 def read_samples(
@@ -62,13 +65,13 @@ def read_samples(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> Recording:
-    """Read one recording with the guards, checksums, units and signs of the configuration.
+    """Read one recording with the guards, checksums, units and signs that the configuration states.
 
-    paths: one log, or the pieces of one recording in their order. progress: called with bytes done
-    and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read: the
-    others have axes of their own. Frames are read in chunks, and only samples are kept. Raises
-    ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the first bad
-    line).
+    paths: one log, or the pieces of one recording in their order. progress: function that is called
+    with the number of bytes read and the total number of bytes. If there are several
+    accelerometers, gyroscopes or magnetometers, only the first is read, because each sensor has
+    axes of its own. Frames are read in chunks, and only samples are kept. Raises ConfigError.
+    Raises LogError for logs without a usable frame and, with `strict`, at the first bad line.
     """
     router = _first_sensors(loaded)
     reader = LogReader(paths, router.matches, strict, progress)
@@ -98,7 +101,7 @@ def read_samples(
 def is_same_recording(one: Recording, other: Recording) -> bool:
     """True if two recordings begin with the same samples of the accelerometer.
 
-    Names, interfaces, time stamps, formats and ends of the logs do not count.
+    Differences in the names, interfaces, time stamps, formats and ends of the logs are ignored.
     """
     if "accel" not in one.samples or "accel" not in other.samples:
         return False
@@ -111,7 +114,7 @@ def is_same_recording(one: Recording, other: Recording) -> bool:
 
 
 class _Kept:
-    """Collects the samples of all chunks until the log ends."""
+    """Collects the samples of all chunks until the end of the log."""
 
     def __init__(self) -> None:
         self.gaps: list[float] = []
@@ -127,7 +130,7 @@ class _Kept:
             self._values.setdefault(channel, []).append(series.values)
 
     def samples(self) -> Samples:
-        """All samples, in the documented order of the channels."""
+        """Return all samples, in the documented order of the channels."""
         return {
             channel: Series(
                 np.concatenate(self._t.pop(channel)), np.concatenate(self._values.pop(channel))
@@ -138,7 +141,7 @@ class _Kept:
 
 
 def _first_sensors(loaded: LoadedConfig) -> Router:
-    """The configuration's router, without second choices and parallel sensors."""
+    """Return the router of the configuration without fallback sensors and parallel sensors."""
     router = compile_router(loaded)  # reports all mistakes of the configuration
     signals = loaded.config.signals
     first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
@@ -167,7 +170,7 @@ def _refuse_empty(paths: Sequence[Path | str], reader: LogReader, router: Router
 
 
 def _cycles(routes: Sequence[SignalRoute], channels: frozenset[str]) -> dict[str, float]:
-    """Cycle time by channel, of the preferred source."""
+    """Return the cycle time of the preferred source, by channel."""
     found: dict[str, tuple[int, float]] = {}
     for route in routes:
         cycle = route.plan.message.cycle_time if isinstance(route, MessageRoute) else None

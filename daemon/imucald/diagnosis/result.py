@@ -1,4 +1,5 @@
-"""The result of a diagnosis: verdict, causes, look-alikes, gain, and the pictures' numbers."""
+"""The result of a diagnosis: verdict, causes, look-alikes, gain, and the numbers for the
+pictures."""
 
 from __future__ import annotations
 
@@ -37,23 +38,23 @@ class FoundCause:
     name: str
     parameters: Mapping[str, Estimated]
     signals: tuple[str, ...]
-    """The signals that it affects, as in `Diagnosis.signals`."""
+    """The signals that the cause affects, as in `Diagnosis.signals`."""
     evidence: Mapping[str, float]
     """`held_out_nats`: increase of the log-likelihood of data outside the fit, without the best
-    segments. `sigma`: departure in standard deviations. `quantile`: half width of the interval in
-    standard deviations."""
+    segments. `sigma`: difference from the model file in standard deviations. `quantile`: half width
+    of the interval in standard deviations."""
     text: str
-    """One sentence for a person."""
+    """One sentence for a reader."""
     certainty: Certainty = "certain"
     against: tuple[str, ...] = ()
-    """Arguments against it, in sentences."""
+    """Arguments against the cause, as sentences."""
     along_sensor: Mapping[str, Estimated] = field(default_factory=dict)
-    """Vectors of `parameters` along the sensor's axes, as the model file has them: by the file's
-    key and the number of the axis."""
+    """Vectors of `parameters` along the sensor's axes, as in the model file: by the key of the file
+    and the number of the axis."""
 
     @property
     def in_file(self) -> dict[str, Estimated]:
-        """Parameters by the file's own keys."""
+        """Parameters by the keys of the model file."""
         own = {k: p for k, p in self.parameters.items() if not self._is_turned(k)}
         return {**self.along_sensor, **own}
 
@@ -86,24 +87,27 @@ class Candidate:
     name: str
     outcome: Outcome
     nats: float
-    """Increase of the log-likelihood of data outside its fit, without the best segments [nats]."""
+    """Increase of the log-likelihood of data outside the fit, without the best segments [nats]."""
     text: str
-    """Its value, and the size from which these drives would have shown it."""
+    """Text with the value, and with the size from which these drives would have shown the cause."""
     parameters: Mapping[str, Estimated] = field(default_factory=dict)
-    """Value of each of its parameters if this cause alone is fitted in addition."""
+    """Value of each parameter of the cause if this cause alone is fitted in addition."""
     key: str = ""
-    """The parameter with the largest departure, relative to its standard deviation."""
+    """The parameter with the largest difference from the model file, relative to its standard
+    deviation."""
     off: float = math.nan
-    """Departure of this parameter, in `unit`; the next two values have the same unit."""
+    """Difference of this parameter from the model file, in `unit`. `std` and `shows_from` have the
+    same unit."""
     std: float = math.nan
     shows_from: float = math.nan
-    """Size from which these drives would have shown it."""
+    """Size from which these drives would have shown the cause."""
     unit: str = ""
 
 
 @dataclass(frozen=True)
 class SignalGain:
-    """Residual of one measured signal, rms in `unit`; *after* is the written file alone."""
+    """Residual of one measured signal, rms in `unit`. `rms_after` is the residual with the written
+    model file, without a further fit."""
 
     rms_before: float
     rms_after: float
@@ -111,88 +115,94 @@ class SignalGain:
     """Residual after a fit of all parameters of the catalogue."""
     unit: str
     slow_before: float = math.nan
-    """The same below 0.2 Hz."""
+    """`rms_before`, below 0.2 Hz only."""
     slow_after: float = math.nan
     left: str = ""
     """Remaining offset or drift, in words."""
     rms_unseen: float = math.nan
-    """As *after*, but each segment is predicted with parameters that were fitted without it."""
+    """`rms_after`, but each segment is predicted with parameters that were fitted without it."""
     verdict: Verdict = "nothing"
     """Verdict of this signal alone."""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Gain of the extended model on data that its fit did not use."""
+    """Gain of the extended model file on data that its fit did not use."""
 
     held_out_log_likelihood: float
-    """Increase of the held-out segments' log-likelihood with the written file alone [nats]."""
+    """Increase of the log-likelihood of held-out segments with the written file alone [nats]."""
     interval: tuple[float, float]
-    """95 % interval of that, over whole segments."""
+    """95 % interval of this increase, computed over whole segments."""
     worse: tuple[str, ...] = ()
-    """Signals that the extended model predicts worse."""
+    """Signals that the extended model file predicts worse than the stated file."""
     was_fitted: bool = True
-    """False if nothing was fitted: directly read facts change no prediction by themselves."""
+    """False if nothing was fitted. Facts that were read directly change no prediction."""
 
 
 GOES_AGAINST = "goes against the model"
-"""Kind of structure for a signal with the opposite sign of its prediction."""
+"""Kind of structure: a signal has the opposite sign of its prediction."""
 TOO_MUCH = "too much is left"
-"""Kind for a residual larger than that of any measured car: then no fit is trusted."""
+"""Kind of structure: a residual is larger than in any measured car. With this structure, no fit is
+trusted."""
 GOES_WITH_ANOTHER = "goes with another signal"
-"""Kind for an error of one signal that depends on another signal."""
+"""Kind of structure: an error of one signal depends on another signal."""
 TURNS_WITH_WHEEL = "turns with the wheel"
-"""Kind for a residual that oscillates with distance, once or twice per wheel turn."""
+"""Kind of structure: a residual oscillates with distance, once or twice per wheel turn."""
 VALUE_HELD = "a value is held"
-"""Kind for a sensor that shows one value far more often than the neighbouring values."""
+"""Kind of structure: a sensor shows one value far more often than the neighbouring values."""
 READINGS_LOST = "readings are lost"
-"""Kind for a sensor that jumps to one value and back: those readings are invalid and not used."""
+"""Kind of structure: a sensor jumps to one value and back. Readings with this value are invalid and
+not used."""
 WANDERS = "wanders"
-"""Kind for a zero, gain or delay that changes from segment to segment of a drive."""
+"""Kind of structure: a zero error, gain or delay changes from segment to segment of a drive."""
 UNEVEN = "some segments leave more"
-"""Kind for segments whose residual exceeds both their noise and the errors of a correct file."""
+"""Kind of structure: some segments have a residual larger than their noise and than the errors of a
+correct model file."""
 LOUDER = "more is left than the file states"
-"""Kind for a residual larger than that of the drives that the model file was made from."""
+"""Kind of structure: a residual is larger than in the drives from which the model file was made."""
 COARSER = "coarser than the file states"
-"""Kind for signal values that lie further apart than in the drives that the file was made from."""
+"""Kind of structure: the values of a signal are further apart than in the drives from which the
+model file was made."""
 VALUES_MISSING = "values are missing"
-"""Kind for a range of values that a signal passes through but never shows."""
+"""Kind of structure: a signal passes through a range of values and never shows a value in this
+range."""
 CHANGES_MISSING = "small changes are missing"
-"""Kind for a signal that stays constant and then changes by a large amount."""
+"""Kind of structure: a signal stays constant and then changes by a large amount."""
 JUMPS_ALONE = "single values jump"
-"""Kind for a signal that jumps repeatedly, with small changes before and after each jump."""
+"""Kind of structure: a signal jumps repeatedly, with small changes before and after each jump."""
 CHANGES_OTHERWISE = "changes by another amount than the file states"
-"""Kind for changes from sample to sample that are larger or smaller than in the file's drives."""
+"""Kind of structure: changes from sample to sample are larger or smaller than in the drives of the
+model file."""
 FOLLOWS_OTHERWISE = "samples follow each other in another way"
-"""Kind for samples that repeat, lie on straight lines or have tails in another way than in the
-file's drives."""
+"""Kind of structure: repeats, straight lines or tails of successive samples differ from the drives
+of the model file."""
 NOT_PLAUSIBLE = "not plausible"
-"""Kind for a cause that explains the numbers but is physically impossible: another cause is
+"""Kind of structure: a cause explains the numbers but is physically impossible, so another cause is
 missing."""
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Structure in a residual that no candidate explains."""
+    """Structure in a residual that no cause of the catalogue explains."""
 
     signal: str
     kind: str
-    """Kind such as "peak", "shared motion", "not plausible"."""
+    """Kind of the structure, such as "peak", "shared motion", "not plausible"."""
     size: float
-    """In standard deviations of chance, or as a ratio to the expected or allowed size."""
+    """Size in standard deviations of chance, or as a ratio to the expected or allowed size."""
     text: str
     parameter: str = ""
-    """The zero or gain that changes during the drive, if it is one."""
+    """The zero error or gain that changes during the drive; empty for other structures."""
 
 
 @dataclass(frozen=True)
 class SignalPicture:
-    """Numbers to draw for one signal; arrays (N,) on `t` unless stated otherwise."""
+    """Numbers to draw for one signal. Arrays are (N,) on `t` unless stated otherwise."""
 
     signal: str
     unit: str
     t: Array
-    """Time [s] from the start of the first drive; drives follow each other."""
+    """Time [s] since the start of the first drive. The drives follow one another."""
     measured: Array
     predicted_before: Array
     predicted_after: Array
@@ -200,15 +210,16 @@ class SignalPicture:
     """The input that correlates most with the residual, such as `dv/dt [m/s^2]`."""
     driver: Array
     frequency: Array
-    """(F,) [Hz]"""
+    """Frequencies (F,) [Hz]."""
     spectrum_before: Array
-    """(F,) one-sided spectral density of the residual [unit^2/Hz], as the array below."""
+    """One-sided spectral density (F,) of the residual [unit^2/Hz]. `spectrum_after` has the same
+    form."""
     spectrum_after: Array
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The outcome of `diagnose`."""
+    """The result of `diagnose`."""
 
     verdict: Verdict
     causes: tuple[FoundCause, ...]
@@ -222,19 +233,21 @@ class Diagnosis:
     candidates: tuple[Candidate, ...] = ()
     structure: tuple[Structure, ...] = ()
     notes: tuple[str, ...] = ()
-    """Notes for the user: signals absent, drives too short, segments left out."""
+    """Notes for the user: missing signals, drives that are too short, segments that were left
+    out."""
     pictures: tuple[SignalPicture, ...] = ()
     model_before: VehicleModel = field(default_factory=VehicleModel)
     model_after: VehicleModel = field(default_factory=VehicleModel)
     recommended: bool = False
-    """True: the extended model predicts held-out data better, and no signal worse."""
+    """True if the extended model file predicts held-out data better, and no signal worse."""
     complete: bool = True
     """False if the time limit ended the search."""
     channels: frozenset[str] | None = None
     """The signals of the drives; None: not known."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return the output for tools: plain numbers, lists and texts, without infinite values."""
+        """Return the output for programs: plain numbers, lists and texts, without infinite
+        values."""
         return {
             "verdict": self.verdict,
             "complete": self.complete,
@@ -281,7 +294,7 @@ def _cause_json(cause: FoundCause) -> dict[str, Any]:
 
 
 def _fields(of: object, *names: str) -> dict[str, Any]:
-    """Attributes by name: texts unchanged, numbers as in JSON."""
+    """Return attributes by name. Texts are unchanged, numbers are as in JSON."""
     found = ((name, getattr(of, name)) for name in names)
     return {name: x if isinstance(x, str) else _plain(x) for name, x in found}
 

@@ -1,9 +1,9 @@
-"""One drive's signals on a common grid, readable at any delay, without duplicates and bad intervals
-of time.
+"""Signals of one drive on a common time grid, readable with any delay, without duplicates and bad
+intervals of time.
 
-Every signal is read as its mean over one grid step about a time, so all signals have the same
-low-pass. A delay shifts that time. The speed often comes only once a second, so it stays a list of
-knots: between two knots nothing is known.
+Every signal is read as its mean over one grid step around a time, so all signals have the same
+low-pass filter. A delay shifts this time. The speed often comes only once a second, so it is kept
+as a list of knots. Between two knots, the speed is not known.
 """
 
 from __future__ import annotations
@@ -23,22 +23,23 @@ Mask = NDArray[np.bool_]
 Spans = tuple[tuple[float, float], ...]
 
 STEP_S = 0.1
-"""Step of the grid. Motion of a vehicle lies below 2 Hz."""
+"""Step of the grid [s]. The motion of a vehicle is below 2 Hz."""
 GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35
 DUPLICATE_SHARE = 0.3
-"""If the same value comes again within this share of the period, the frame was sent twice."""
+"""Share of the period within which a repeated value means that the frame was sent twice."""
 BESIDE = 10
-"""Number of samples before and after one from which the local share of repeated values is found."""
+"""Number of samples before and after a sample from which the local share of repeated values is
+computed."""
 CHANCE = 0.01
-"""Chance of the error that early frames of a sensor with many repeated values are taken for
+"""Chance of a wrong decision about a sensor with many repeated values: that its early frames are
 duplicates."""
 STANDING_MPS = 0.05
 FASTEST_REST_RADPS = np.radians(0.3)
-"""Largest rms of a gyroscope about its mean at rest; an idling engine causes less."""
+"""Largest rms of a gyroscope about its mean at rest [rad/s]. An idling engine causes less."""
 TRIM_S = 1.5
-"""The speed signal is late and says 0 before the vehicle stands (dead band), so the ends of stops
-are cut."""
+"""Time that is removed at both ends of a stop [s]. The speed signal is late, and it is zero before
+the vehicle stands (dead band)."""
 SHORTEST_STOP_S = 2.0
 LEAST_S = 45.0
 NEEDED = ("accel", "speed")
@@ -46,19 +47,20 @@ NEEDED = ("accel", "speed")
 
 @dataclass(frozen=True)
 class Stop:
-    """A standstill that both speed and inertial sensor show, with its ends cut off."""
+    """A standstill that both the speed and the inertial sensor show. The ends of the standstill are
+    removed."""
 
     start_s: float
     stop_s: float
     gyro: Array
-    """(3,) mean rate in sensor axes [rad/s]."""
+    """Mean rate (3,) in sensor axes [rad/s]."""
     accel: Array
-    """(3,) mean specific force in sensor axes [m/s^2]."""
+    """Mean specific force (3,) in sensor axes [m/s^2]."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One signal, ready to be read at any delay. values: (N,) or (N, width)."""
+    """One signal that can be read with any delay. values: (N,) or (N, width)."""
 
     t: Array
     values: Array
@@ -68,7 +70,7 @@ class Channel:
 
     @staticmethod
     def from_series(series: Series, bad: Spans = ()) -> Channel:
-        """Drop unusable samples and integrate."""
+        """Drop unusable samples and integrate the others."""
         t, values = series.t, series.values
         period = float(np.median(np.diff(t))) if len(t) > 2 else np.inf
         kept = ~unusable(series, period)
@@ -79,7 +81,8 @@ class Channel:
                        np.concatenate([np.zeros_like(values[:1]), area]))  # fmt: skip
 
     def means(self, t: Array, width: float = STEP_S) -> Array:
-        """Mean over `width` about each time [s]; held beyond the ends."""
+        """Return the mean over `width` around each time [s]. Beyond the ends, the end values are
+        used."""
         low, high = t - 0.5 * width, t + 0.5 * width
         columns = self._integral.reshape(len(self.t), -1).T
         ends = self.values.reshape(len(self.t), -1).T
@@ -90,8 +93,8 @@ class Channel:
         return np.asarray(rows[0] if self.values.ndim == 1 else np.column_stack(rows))
 
     def _at(self, t: Array, integral: Array, ends: Array) -> Array:
-        """Integral up to t; outside the data the end values are held. It is linear between samples,
-        not quadratic; this shifts the mean by less than one sample."""
+        """Return the integral up to t. Outside the data, the end values are used. The integral is
+        interpolated linearly between samples, which shifts the mean by less than one sample."""
         inside = np.interp(t, self.t, integral)
         before, after = np.minimum(t - self.t[0], 0.0), np.maximum(t - self.t[-1], 0.0)
         return np.asarray(inside + before * ends[0] + after * ends[-1])
@@ -106,7 +109,7 @@ class Channel:
         return np.asarray(there & ~inside_of(t, self.bad, STEP_S))
 
     def good(self) -> Mask:
-        """Samples (N,) outside bad intervals."""
+        """Return flags of the samples (N,) outside bad intervals."""
         return ~inside_of(self.t, self.bad)
 
 
@@ -117,14 +120,14 @@ class DriveSignals:
     t: Array
     channels: Mapping[str, Channel]
     knots: Channel
-    """Signed speed; at most one knot per step of the grid."""
+    """Signed speed, with at most one knot per step of the grid."""
     stops: tuple[Stop, ...]
     planar: bool
-    """True: the accelerometer has no vertical axis."""
+    """True if the accelerometer has no vertical axis."""
 
     @property
     def duration_s(self) -> float:
-        """Length [s]."""
+        """Duration [s]."""
         return float(len(self.t) * STEP_S)
 
     def has(self, name: str) -> bool:
@@ -133,7 +136,8 @@ class DriveSignals:
 
 
 def inside_of(t: Array, spans: Spans, margin: float = 0.0) -> Mask:
-    """Return which times lie in the intervals, extended by a margin [s] at both ends."""
+    """Return flags of the times in the intervals. The intervals are extended by a margin [s] at
+    both ends."""
     if not spans:
         return np.zeros(len(t), dtype=bool)
     start, stop = np.sort(np.array(spans), axis=0).T
@@ -143,15 +147,16 @@ def inside_of(t: Array, spans: Spans, margin: float = 0.0) -> Mask:
 
 
 def unusable(series: Series, period: float) -> Mask:
-    """Rows (N,) that no fit uses: duplicates, and rows with the same stamp as the row before. With
-    a coarse clock the true time of such a row is not known."""
+    """Return flags of the rows (N,) that no fit uses: duplicates, and rows with the same time stamp
+    as the row before. With a coarse clock, the true time of such a row is not known."""
     again = duplicates(series, period)
     again[1:] |= np.diff(series.t) <= 0.0
     return again
 
 
 def duplicates(series: Series, period: float) -> Mask:
-    """Rows (N,) that repeat the sample before them: a frame that was sent or logged twice."""
+    """Return flags of the rows (N,) that repeat the sample before: frames that were sent or logged
+    twice."""
     t, values = series.t, series.values.reshape(len(series.t), -1)
     again = np.zeros(len(t), dtype=bool)
     if len(t) > 1:
@@ -166,18 +171,20 @@ def duplicates(series: Series, period: float) -> Mask:
 
 
 def _goes_on_from_second(t: Array, period: float) -> Mask:
-    """(N - 1,) steps after which the next frame comes one cycle after the second of two frames, not
-    one cycle after the first. Then the second frame was early or the sender's clock was set, and
-    neither frame is a duplicate."""
+    """Return flags of the steps (N - 1,) after which the next frame comes one cycle after the
+    second of two frames, and not one cycle after the first. In this case, the second frame was
+    early or the sender's clock was set. Neither frame is then a duplicate."""
     made = np.zeros(len(t) - 1, dtype=bool)
     made[:-1] = np.abs(t[2:] - t[1:-1] - period) < np.abs(t[2:] - t[:-2] - period)
     return made
 
 
 def _usual(same: Mask, soon: Mask) -> float:
-    """Share of repeats among samples with normal spacing, near those that come too soon. A sensor
-    with a dead zone repeats values at any spacing, and a sleeping one does so for a while: such
-    repeats are no duplicate frames. same, soon: (N - 1,)."""
+    """Return the share of repeats among samples with normal spacing, near the samples that come too
+    soon.
+
+    A sensor with a dead zone repeats values at any spacing, and a sleeping sensor does so for a
+    while. Such repeats are not duplicate frames. same, soon: (N - 1,) flags."""
     about, in_time = np.ones(2 * BESIDE + 1), ~soon
     if not in_time.any():
         return 0.0
@@ -199,7 +206,7 @@ def require(samples: Samples) -> None:
 
 
 def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveSignals:
-    """Put a drive on its grid. bad: intervals [s] by channel that must not be used.
+    """Put the signals of a drive on its grid. bad: intervals [s] by channel that must not be used.
 
     Raises EstimateError if a needed signal is missing.
     """
@@ -227,7 +234,7 @@ def _is_planar(accel: Array) -> bool:
 
 
 def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
-    """Signed speed at the instants of its samples."""
+    """Return the signed speed at the times of its samples."""
     speed = channels["speed"]
     if speed.period_s < 0.8 * STEP_S:
         at, values = t, speed.means(t)
@@ -241,7 +248,8 @@ def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
 
 
 def _stops(channels: Mapping[str, Channel], knots: Channel, t: Array) -> tuple[Stop, ...]:
-    """Standstills: the speed is 0 and the gyroscope moves no more than an idling engine causes."""
+    """Return the standstills: the speed is 0, and the gyroscope moves no more than with an idling
+    engine."""
     if "gyro" not in channels:
         return ()
     still = np.interp(t, knots.t, np.abs(knots.values)) < STANDING_MPS

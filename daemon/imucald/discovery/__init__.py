@@ -1,4 +1,5 @@
-"""Propose a configuration from databases and a recording, with the evidence above each entry."""
+"""Propose a configuration from databases and a recording. The file states the evidence above each
+entry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Choices from units and names alone, if the recording shows nothing. None of them is sure."""
+"""Choices from units and names alone, for quantities that the recording does not show. No such
+choice is sure."""
 
 from __future__ import annotations
 
@@ -46,7 +47,8 @@ def by_names(candidates: Sequence[SeenSignal], found: set[str]) -> Iterator[Choi
 def _three(
     candidates: Sequence[SeenSignal], dimension: str
 ) -> tuple[SeenSignal, SeenSignal, SeenSignal] | None:
-    """Return the first three signals of a message whose names differ only in x, y, z."""
+    """Return the first three signals of a message whose names are those of the axes x, y and z, in
+    this order."""
     groups: dict[str, list[SeenSignal]] = {}
     for c in candidates:
         if c.states(dimension):

@@ -1,4 +1,4 @@
-"""All signals of the databases that are in a recording, as numbers on a common grid."""
+"""All signals of the databases that occur in a recording, as numbers on a common time grid."""
 
 from __future__ import annotations
 
@@ -30,32 +30,36 @@ from imucald.inputs.units import is_unit
 from imucald.motion.ticks import TICK_RATE
 
 FEW_LEVELS = 16
-"""A signal with at most this number of values may be a switch or a lever."""
+"""Largest number of different values of a signal that may be a switch or a lever."""
 MIN_FRAMES = 20
 """Smallest number of frames of a message that is used."""
 SNA_BITS = 6
-"""Smallest signal length [bits] at which an outlier of all ones probably means 'not available'."""
+"""Smallest signal length [bits] at which an outlier with all bits set probably means 'not
+available'."""
 SMALL_AT_SIGN = 0.3
-"""Largest size of a magnitude at a change of its sign bit, relative to its mean size. A bit that is
-not its sign changes at the mean size."""
+"""Largest size of a magnitude when its sign bit changes, relative to the mean size of the
+magnitude. If the bit is not the sign bit, the size at a change is about the mean size."""
 NOT_AVAILABLE_BYTE = 0xFF
 """The fill byte of a J1939 message without values."""
 WRAPPED, JOINED = 0.9, 0.5
-"""Sizes of a step, relative to the range of the raw value: a signed number that is read as unsigned
-steps by nearly the whole range where it changes its sign, and read as signed by less than half."""
+"""Sizes of a step, relative to the range of the raw value. If a signed number is read as unsigned,
+a change of its sign is a step of nearly the whole range. If the number is read as signed, the same
+step is smaller than half of the range."""
 CODES = 8
-"""Largest number of raw values that may be codes ('not available', 'error') at the upper end."""
+"""Largest number of raw values at the upper end of the range that may be codes ('not available',
+'error')."""
 _NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitless"})
 
 
 @dataclass(frozen=True, eq=False)
 class SeenSignal:
-    """One signal. x, smooth: (n,) at ticks of 0.1 s in the signal's unit, NaN if unknown.
+    """One signal of a recording. x, smooth: (n,) values at ticks of 0.1 s in the signal's unit, NaN
+    if unknown.
 
-    cycle: mean time between frames [s]. levels: number of different values, at most
-    FEW_LEVELS + 1. held: (n,) the last value before each tick, for signals with few levels.
-    unavailable: raw values that mean 'not available' according to the data, without an entry in a
-    value table.
+    cycle: mean time between frames [s]. levels: the different values of a signal with at most
+    FEW_LEVELS values; empty for other signals. held: (n,) last value before the end of each tick,
+    for signals with few values. unavailable: raw values that mean 'not available' according to the
+    data, although no value table contains them.
     """
 
     message: Message
@@ -72,15 +76,15 @@ class SeenSignal:
     raw: Mapping[str, Any] | None = None
     """Bytes and expression of a signal that no database describes."""
     sign_signal: str | None = None
-    """``MESSAGE.SIGNAL`` of the sign bit, for a signal without its own sign."""
+    """``MESSAGE.SIGNAL`` of the sign bit, for a signal whose sign is in another signal."""
     source_address: int | None = None
-    """Source address of the sender, if several units send this J1939 message."""
+    """Source address of the sender if several units send this J1939 message."""
     own_channel: str | None = None
-    """The channel to state in a raw source, if the recording has several channels."""
+    """Channel to state in a raw source if the recording has several channels."""
 
     @property
     def path(self) -> str:
-        """``MESSAGE.SIGNAL``."""
+        """Name of the signal as ``MESSAGE.SIGNAL``."""
         return f"{self.message.name}.{self.signal.name}"
 
     @property
@@ -100,13 +104,13 @@ class SeenSignal:
 
     @property
     def is_magnitude(self) -> bool:
-        """True if its sign may be in another signal."""
+        """True if the sign of the signal may be in another signal."""
         is_signed = self.signal.is_signed or self.signal.is_float or self.least < 0.0
         return not (is_signed or self.levels or self.raw)
 
     @property
     def is_bit(self) -> bool:
-        """True if it may be a sign."""
+        """True if the signal may be a sign bit."""
         return self.signal.length == 1 and len(self.levels) == 2
 
     @property
@@ -115,11 +119,12 @@ class SeenSignal:
         return 0 < len(self.levels) <= 2 and self.has_no_unit
 
     def may_be(self, dimension: str) -> bool:
-        """True if its unit allows the dimension: it names the dimension, or it is unknown."""
+        """True if the signal may have this dimension: its unit has this dimension, or the unit is
+        unknown."""
         return self.has_no_unit or self.states(dimension) or not is_unit(self.unit)
 
     def states(self, dimension: str) -> bool:
-        """True if its unit names the dimension."""
+        """True if the unit of the signal has this dimension."""
         return not self.has_no_unit and factor_of(self.unit, dimension) is not None
 
 
@@ -127,8 +132,8 @@ class SeenSignal:
 class MessageTraffic:
     """A message of a database with its frames.
 
-    senders: source addresses, if several units send this J1939 message. The frames are those of the
-    first address.
+    senders: source addresses if several units send this J1939 message. The frames are the frames of
+    the first address.
     """
 
     message: Message
@@ -140,7 +145,7 @@ class MessageTraffic:
 
 
 def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, float]]:
-    """Yield the messages with a stated cycle [s]."""
+    """Yield the messages with a stated cycle time [s]."""
     for database in databases.values():
         for message in database.messages.values():
             if message.cycle_time:
@@ -148,7 +153,7 @@ def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, 
 
 
 def readable_messages(database: Database) -> Iterator[tuple[Message, IdMatch]]:
-    """Yield each message with signals that can be decoded, and the identifiers that carry it."""
+    """Yield each message with signals that can be decoded, and the identifiers of its frames."""
     for message in database.messages.values():
         if message.unsupported or not message.signals:
             continue
@@ -159,10 +164,11 @@ def readable_messages(database: Database) -> Iterator[tuple[Message, IdMatch]]:
 
 
 def compared_by_pgn(database: Database, traffic: Sequence[Traffic]) -> Database | None:
-    """Return the database read as J1939 if its 29-bit identifiers come only so; else None.
+    """Return the database read as J1939 if its 29-bit identifiers match the traffic only in this
+    way; else None.
 
-    Many J1939 databases do not say that they are J1939. Their messages then come with another
-    source address or priority than in the database.
+    Many J1939 databases do not state that they are J1939. The frames then have another source
+    address or priority than the database states.
     """
     here = [m for m, _ in readable_messages(database) if m.can_id & CAN_EFF_FLAG]
 
@@ -234,7 +240,7 @@ def _says_something(one: Traffic) -> bool:
 
 
 def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
-    """Yield every signal of a message that can be decoded and came often enough."""
+    """Yield every signal of a message that can be decoded and was received often enough."""
     names = []
     for name in one.message.signals:
         try:
@@ -274,9 +280,10 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
 def signed_elsewhere(
     messages: Mapping[str, MessageTraffic], found: Sequence[SeenSignal], ticks: int
 ) -> Iterator[SeenSignal]:
-    """Yield magnitudes without a sign bit in their message, each with the best bit elsewhere.
+    """Yield magnitudes without a sign bit in their message, each with the best sign bit of another
+    message.
 
-    The values are those of a configuration with this `sign_signal`.
+    The values are the values of a configuration with this `sign_signal`.
     """
     signed = {c.path for c in found if c.sign_signal is not None}
     own = [c for c in found if c.message.name in messages]
@@ -321,7 +328,7 @@ def _decoded(
     one: MessageTraffic, c: SeenSignal
 ) -> tuple[Array, Array, NDArray[np.generic], NDArray[np.intp]]:
     """Return times and values (N,) of the frames in which a signal has a value, the raw numbers of
-    all frames, and the indices (N,) of these frames.
+    all frames, and the indices (N,) of the frames with a value.
     """
     found = compile_decode(one.message, [c.signal.name], may_be_cut=True).decode_columns(
         one.data, one.length
@@ -341,7 +348,8 @@ def _size_at_sign(values: Array) -> float:
 
 
 def _changes_sign_at_zero(values: Array) -> bool:
-    """True if values change their sign only when small. If so, the bit is a sign bit."""
+    """True if values change their sign only when they are small. The tested bit is then a sign
+    bit."""
     return _size_at_sign(values) < SMALL_AT_SIGN
 
 
@@ -389,16 +397,17 @@ def _candidate(
 
 
 def _held(t: Array, values: Array, ticks: int) -> Array:
-    """Return the last value at the end of each tick; NaN before the first value."""
+    """Return the last value before the end of each tick; NaN before the first value."""
     last = np.searchsorted(t, (np.arange(ticks) + 1.0) / TICK_RATE) - 1
     return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
 
 
 def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
-    """Return raw values that mean 'not available': all ones, or the lowest signed number.
+    """Return the raw values that mean 'not available': the value with all bits set, or the lowest
+    signed number.
 
-    The step to this value must be at least twice any other step. A signal that reaches the end of
-    its range does so with its usual steps.
+    The step to such a value must be at least twice any other step. A true signal reaches the end of
+    its range with its usual steps.
     """
     if signal.length < SNA_BITS or len(raw) < MIN_FRAMES:
         return ()
@@ -418,7 +427,7 @@ def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
 
 
 def misses_sign(signal: Signal, raw: NDArray[np.generic]) -> bool:
-    """True if a signal is signed according to its values (n,), but unsigned in the database."""
+    """True if a signal is signed according to its values (n,) but unsigned in the database."""
     if signal.is_signed or signal.is_float or signal.length < SNA_BITS:
         return False
     size = float(2**signal.length)
@@ -431,7 +440,8 @@ def misses_sign(signal: Signal, raw: NDArray[np.generic]) -> bool:
 
 
 def silent_candidates(database: Database) -> Iterator[SeenSignal]:
-    """Yield every signal of a database without a recording. Only name and unit are known."""
+    """Yield every signal of a database without a recording. Only the name and the unit are then
+    known."""
     nothing = np.full(1, np.nan)
     for message in database.messages.values():
         for signal in message.signals.values() if not message.unsupported else ():
@@ -447,7 +457,7 @@ def silent_candidates(database: Database) -> Iterator[SeenSignal]:
 
 
 def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[SeenSignal]:
-    """Find answers to OBD-II requests for the speed (SAE J1979: mode 01, PID 0x0D, km/h)."""
+    """Yield the speeds in answers to OBD-II requests (SAE J1979: mode 01, PID 0x0D, km/h)."""
     several = len({one.channel for one in traffic}) > 1
     for one in traffic:
         if not _is_obd_answer(one.can_id) or one.data.shape[1] < 4:

@@ -48,15 +48,16 @@ from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
 
 LEAST_PART_S = 60.0
-"""Shortest part of a recording in which the sensor was moved that is used [s]."""
+"""Shortest part of a recording that is used, if the sensor was moved in the recording [s]."""
 LEAST_LOSS = 0.05
-"""Smallest share of lost frames [%] that is shown. A smaller one would be shown as 0.0."""
+"""Smallest share of lost frames [%] that is shown. A smaller share would be shown as 0.0."""
 
 
 def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
-    """Propose a configuration. databases: keys are the paths for the configuration.
+    """Propose a configuration. databases: databases by their paths in the configuration.
 
-    If the sensor is moved in the recording, only the longer part before or after is used.
+    If the sensor is moved in the recording, only the longer of the two parts, before or after the
+    move, is used.
     """
     proposal, reference = _discovered(databases, recording)
     move = None if reference.accelerometer is None else sensor_move(_motion_of(reference))
@@ -75,7 +76,7 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
 
 
 def _motion_of(reference: KnownMotion) -> Motion:
-    """Return the motion of the accelerometer and the speed that were found."""
+    """Return the motion from the accelerometer and the speed that were found."""
     assert reference.accelerometer is not None, "asked before"
     grid = {"accel": reference.accelerometer.ticks}
     if (speed := reference.speed) is not None:
@@ -144,7 +145,7 @@ def _discovered(
 
 
 def _lost(shares: Mapping[str, float | None]) -> list[str]:
-    """Return the lost share of each message with losses, as texts."""
+    """Return a text with the lost share of each message; empty if no message has losses."""
     known = {name: 100.0 * share for name, share in shares.items() if share is not None}
     if not any(share >= LEAST_LOSS for share in known.values()):
         return []
@@ -169,7 +170,7 @@ def _cut(choices: Sequence[Choice], messages: Mapping[str, MessageTraffic]) -> I
 
 
 def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None:
-    """Mark a choice whose J1939 message comes from several units."""
+    """Add a doubt to a choice whose J1939 message comes from several units."""
     for name in used_messages([choice]):
         senders = messages[name].senders if name in messages else ()
         if len(senders) > 1 and not choice.doubt:
@@ -202,7 +203,8 @@ def _notes(
 
 
 def free_output_ids(taken: Set[int]) -> dict[str, int]:
-    """Return other output ids if a usual one is on the bus; empty if the usual ids are free."""
+    """Return other ids for the output frames if a default id is on the bus; empty if the default
+    ids are free."""
     usual = asdict(OutputIds())
     if not taken & set(usual.values()):
         return {}
@@ -216,7 +218,7 @@ def free_output_ids(taken: Set[int]) -> dict[str, int]:
 def choices_from(
     candidates: Sequence[SeenSignal], proposal: Proposal
 ) -> tuple[list[Choice], KnownMotion]:
-    """Return choices for all found quantities, and the motion used as the reference."""
+    """Return choices for all quantities that were found, and the motion used as the reference."""
     plain = [c for c in candidates if c.sign_signal is None]
     sensors = Sensors(plain, candidates)
     turning = Turning(sensors)
@@ -245,7 +247,7 @@ def choices_from(
 
 
 def used_messages(choices: Sequence[Choice]) -> list[str]:
-    """Return the used messages, in order."""
+    """Return the names of the messages that the choices use, in order."""
     names = (
         path.partition(".")[0]
         for choice in choices
@@ -266,7 +268,8 @@ def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
 
 
 def _channel_of(database: Database, traffic: Sequence[Traffic]) -> str | None:
-    """Return the channel with most messages of a database, if the recording has several."""
+    """Return the channel with the most messages of a database; None if the recording has one
+    channel only."""
     channels = dict.fromkeys(one.channel for one in traffic)
     if len(channels) < 2:
         return None

@@ -1,4 +1,4 @@
-"""Find the unit or the scale of raw counts in which a signal fits its reference."""
+"""Find the unit, or the scale of raw counts, with which a signal fits its reference."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ COMMON_UNITS = {
     "speed": ("km/h", "m/s", "mph", "kn"),
     "magnetic_field": ("uT", "mG", "Gs"),
 }
-"""Common units, the most frequent first. Other units are accepted only if they are stated."""
+"""Common units, the most frequent first. Another unit is accepted only if the database states
+it."""
 
 
 USUAL_COUNTS = {
@@ -26,12 +27,13 @@ USUAL_COUNTS = {
         (131, 65.5, 32.8, 16.4, 114.3, 57.1, 28.6, 14.3, 100, 64, 50, 20, 10),
     ),
 }
-"""Counts per unit for the ranges of common sensors (MPU-6050, LSM6, BMI, ...), the most frequent
-first."""
+"""Counts per unit in the measuring ranges of common sensors (MPU-6050, LSM6, BMI, ...), the most
+frequent first."""
 
 
 def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
-    """Return the unit of raw counts with an SI value in [low, high]: a common one, or a middle."""
+    """Return a unit of raw counts whose SI value is in [low, high]: a common scale if possible,
+    otherwise the geometric mean of the limits."""
     name, usual = USUAL_COUNTS[dimension]
     one = find_unit(name, dimension).factor
     fitting = [n for n in usual if low <= one / n <= high]
@@ -44,7 +46,7 @@ def in_counts(dimension: str, low: float, high: float) -> UnitChoice:
 class UnitChoice:
     """A unit and whether the database states it.
 
-    others: other units that also fit. is_counts: True for raw counts whose scale comes from the
+    others: other units that also fit. is_counts: True for raw counts whose scale was found from the
     data.
     """
 
@@ -61,7 +63,7 @@ class UnitChoice:
 
 
 def factor_of(text: str, dimension: str) -> float | None:
-    """Return the SI value of 1 in a unit; None if the text is not a unit of the dimension."""
+    """Return the SI value of 1 in a unit; None if the text is not a unit of this dimension."""
     try:
         return find_unit(text, dimension).factor if text.strip() else None
     except ConfigError:
@@ -71,7 +73,8 @@ def factor_of(text: str, dimension: str) -> float | None:
 def choose_unit(
     stated: str, dimension: str, low: float, high: float, names: Sequence[str] = ()
 ) -> UnitChoice | None:
-    """Return the unit with an SI value in [low, high]; the stated unit if it fits."""
+    """Return the unit whose SI value is in [low, high]. The stated unit is returned if its value is
+    in this range."""
     factor = factor_of(stated, dimension)
     if factor is not None and low <= factor <= high:
         return UnitChoice(stated, factor, True)

@@ -25,21 +25,22 @@ from imucald.inputs.units import find_unit
 CREEP = 0.2
 MIN_REVERSE_TICKS = 15
 BRAKING = 0.7
-"""Deceleration that needs a brake [m/s^2]. Drag and engine braking stay below about 0.6."""
+"""Deceleration that needs a brake [m/s^2]. Drag and engine braking cause less than about 0.6."""
 COASTING = 0.3
-"""Below this deceleration, the brake is not used [m/s^2]."""
+"""Deceleration below which the brake is not in use [m/s^2]."""
 ENGINE_WARM = 75.0
-"""Coolant and oil become warmer than this [degC]. Thermostats open at 80 to 95 degC."""
+"""Temperature that coolant and oil exceed [degC]. Thermostats open at 80 to 95 degC."""
 CLEAR_MATTHEWS = 0.6
-"""Smallest Matthews correlation of a switch with braking at which it is the brake."""
+"""Smallest Matthews correlation between a switch and braking at which the switch is the brake."""
 LEVER_BITS = 8
-"""Longest signal of a lever [bits]. A lever has fewer than 256 positions."""
+"""Largest length of a lever's signal [bits]. A lever has fewer than 256 positions."""
 _LEVER_WORDS = frozenset(("gear", "gang", "lever", "selector", "prnd", "getriebe", "reverse"))
 _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
 def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """Find a value of a switch or lever at which the force is opposite to the change of speed."""
+    """Find a value of a switch or lever that means reverse: the force is then opposite to the
+    change of speed."""
     found = sorted(_reversing(reference, candidates), key=lambda f: -f.nats)
     sure = [f for f in found if f.nats >= BELIEVED_NATS + math.log(len(found))]
     if sure:
@@ -65,7 +66,8 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """A value of a switch or lever. nats: log likelihood ratio of backwards to forwards."""
+    """A value of a switch or lever. nats: log likelihood ratio of driving backwards to driving
+    forwards."""
 
     candidate: SeenSignal
     level: float
@@ -76,9 +78,10 @@ class _Level:
 def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list[_Level]:
     """Return every value that occurs only at low speed, with its likelihood ratio.
 
-    Forwards, the acceleration along the vehicle equals the change of speed. Backwards, it is the
-    opposite. The noise is as large as in the whole drive (including slopes). The mean of each
-    segment is removed, because it may be a sensor offset or a slope.
+    When driving forwards, the acceleration along the vehicle equals the change of speed. When
+    driving backwards, both have opposite signs. The assumed noise is the noise of the whole drive
+    (including slopes). The mean of each segment is subtracted, because a mean may be a sensor
+    offset or a slope.
     """
     speed, along = reference.speed, reference.along
     if speed is None or along is None or not speed.relation.is_believed_of(1):
@@ -102,14 +105,14 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
 
 
 def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
-    """Return the values of the marked ticks, minus the mean of each contiguous segment."""
+    """Return the values in the ticks that `at` marks, minus the mean of each contiguous segment."""
     rows = np.flatnonzero(at)
     parts = np.split(x[rows], np.flatnonzero(np.diff(rows) > 1) + 1)
     return np.concatenate([part - part.mean() for part in parts])
 
 
 def _names_reverse(signal: Signal) -> float | None:
-    """Return the physical value that a value table names reverse."""
+    """Return the physical value that the value table calls reverse, or None."""
     for raw, name in signal.choices.items():
         if name.strip().lower() in _REVERSE_NAMES:
             return float(raw * signal.scale + signal.offset)
@@ -137,7 +140,7 @@ def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
 
 
 def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
-    """Yield a note if the lever was not in reverse and no name shows the value for reverse."""
+    """Yield a note if the lever was not in reverse and no name shows the value of reverse."""
     levers = [
         c.path
         for c in candidates
@@ -191,7 +194,7 @@ def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choi
 
 
 def _switches(c: SeenSignal) -> list[tuple[Array, dict[str, Any]]]:
-    """Return the possible ways to read a signal as on or off, with their settings."""
+    """Return the possible ways to read a signal as on or off, each with its settings."""
     if c.held is not None:
         if len(c.levels) == 2:
             if 0.0 in c.levels and max(c.levels) > 0.0:
@@ -224,13 +227,14 @@ def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
 
 
 def _is_an_engine(c: SeenSignal) -> bool:
-    """True if a temperature gets as high as an engine's. A sensor's limit is 85 degC."""
+    """True if a temperature gets as high as the temperature of an engine. The limit of a sensor is
+    85 degC."""
     unit = find_unit(c.unit, "temperature")
     return c.largest * unit.factor + unit.offset > ENGINE_WARM
 
 
 def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """Find a temperature in a message that belongs to the sensor's messages."""
+    """Find the temperature of the sensor. A signal in the sensor's messages is preferred."""
     usable = [c for c in candidates if c.states("temperature")]
     triad = reference.accelerometer
     if not usable or triad is None:

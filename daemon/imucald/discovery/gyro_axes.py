@@ -1,11 +1,12 @@
-"""Find the relation of a gyroscope's axes to an accelerometer's: order, signs and unit.
+"""Find the relation between the axes of a gyroscope and the axes of an accelerometer: order, signs
+and unit.
 
 Two facts show this relation for any mount. In turns, speed times the rate about the vertical is the
 acceleration to the left. While the body pitches and rolls, gravity moves in the accelerometer's
-axes with g' = -omega x g. Each of the 48 orders and signs of three axes is compared with both
-facts, by likelihood. Offsets, and acceleration that is proportional to speed, are fitted, so they
-have no effect. The unit is unknown here. In `mount.gyro_alternatives` and
-`config_check.turning_axis` the unit is known; they check whether the configured axes are wrong.
+axes with g' = -omega x g. Each of the 48 combinations of order and signs of three axes is compared
+with both facts, by likelihood. Offsets and accelerations due to the speed are fitted, so they have
+no effect. The unit is unknown in this module. `mount.gyro_alternatives` and
+`config_check.turning_axis` know the unit and check whether the configured axes are wrong.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
 WINDOW = 10
-"""Window for comparing the change of gravity [ticks]: one second, the time scale of pitching."""
+"""Window in which the change of gravity is compared [ticks]: one second, the time scale of
+pitching."""
 STEADY_UP = 0.97
-"""Smallest mean resultant length of the force's direction at which gravity counts as constant. With
-slopes and manoeuvres, a vehicle stays within 15 deg."""
+"""Smallest mean resultant length of the force's direction at which gravity counts as constant in
+sensor axes. With slopes and manoeuvres, the direction in a vehicle stays within 15 deg."""
 
 Order = tuple[tuple[int, int, int], tuple[int, int, int]]
-"""The gyroscope axes that are x, y, z, and their signs."""
+"""Which gyroscope axes are x, y, z, and the sign of each axis."""
 
 AS_IT_IS: Order = ((0, 1, 2), (1, 1, 1))
 
@@ -39,9 +41,9 @@ AS_IT_IS: Order = ((0, 1, 2), (1, 1, 1))
 class GyroFit:
     """The most likely order of a gyroscope's axes among `tried`, with its evidence.
 
-    nats: log likelihood of each order, relative to no relation. turning: relation of the
-    acceleration to the left to speed times rate. carried: relation of gravity's change to the
-    rates. is_contradicted: whether gravity and turns clearly show different orders.
+    nats: log likelihood of each order, relative to no relation. turning: relation between the
+    acceleration to the left and speed times rate. carried: relation between the change of gravity
+    and the rates. is_contradicted: True if gravity and turns clearly show different orders.
     """
 
     order: Order
@@ -51,7 +53,8 @@ class GyroFit:
     is_contradicted: bool = False
 
     def ahead(self, orders: list[Order]) -> float:
-        """Return how much more likely the order is than the best other one of `orders` [nats]."""
+        """Return by how much the order is more likely than the best other order in `orders`
+        [nats]."""
         others = [self.nats[o] for o in orders if o != self.order]
         return self.nats[self.order] - max(others, default=-math.inf)
 
@@ -62,19 +65,20 @@ class GyroFit:
 
 
 def every_order() -> list[Order]:
-    """Return all 48 orders and signs."""
+    """Return all 48 combinations of order and signs."""
     signs = list(itertools.product((1, -1), repeat=3))
     return [(p, s) for p in itertools.permutations((0, 1, 2)) for s in signs]  # type: ignore[misc]
 
 
 def right_handed_orders() -> list[Order]:
-    """Return the three cyclic orders, and the same with all signs reversed."""
+    """Return the three cyclic orders with positive signs, and the three cyclic orders with all
+    signs reversed."""
     cyclic = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
     return [(p, s) for p in cyclic for s in ((1, 1, 1), (-1, -1, -1))]
 
 
 def signed(gyro: Array, order: Order) -> Array:
-    """Return the rates (n, 3) in another order and with its signs."""
+    """Return the rates (n, 3) in another order of axes, with its signs."""
     return gyro[:, list(order[0])] * np.array(order[1], np.float64)
 
 
@@ -118,7 +122,8 @@ def _turning(
 def _carried(
     gyro: Array, accelerometer: Triad, reference: KnownMotion, orders: list[Order]
 ) -> dict[Order, tuple[float, Relation]]:
-    """Return the log likelihood of each order from gravity's changes in windows of a second."""
+    """Return the log likelihood of each order from the changes of gravity in windows of a
+    second."""
     force = accelerometer.smooth
     gravity = _gravity(force)
     target = shifted(force, WINDOW) - force
@@ -143,7 +148,8 @@ def _carried(
 
 
 def _gravity(force: Array) -> Array:
-    """Return gravity in sensor axes (n, 3): constant in a vehicle, the force itself in a hand."""
+    """Return gravity in sensor axes (n, 3): constant for a sensor in a vehicle, the force itself
+    for a sensor in a hand."""
     direction = force / np.linalg.norm(force, axis=1, keepdims=True)
     if np.linalg.norm(np.nanmean(direction, axis=0)) < STEADY_UP:
         return force
@@ -151,7 +157,8 @@ def _gravity(force: Array) -> Array:
 
 
 def _accelerations(reference: KnownMotion) -> Array:
-    """Return windowed changes (n, k) of accelerations due to speed; k is 0 without a speed."""
+    """Return the changes (n, k) of accelerations due to the speed in a window. k is 0 without a
+    speed."""
     known = []
     if reference.speed is not None:
         known.append(_windowed(reference.speed.change))
@@ -170,7 +177,8 @@ def _in_order(parts: dict[tuple[int, int], Array], order: Order) -> Array:
 
 
 def _held_against(target: Array, predicted: Array, independent: float) -> tuple[float, Relation]:
-    """Return the log likelihood of a prediction with any positive scale, and the relation."""
+    """Return the log likelihood of a prediction with any positive scale, and the relation between
+    prediction and target."""
     dot, size = float((target * predicted).sum()), float((predicted * predicted).sum())
     total = float((target * target).sum())
     if not (size > 0.0 and total > 0.0):
@@ -193,5 +201,5 @@ def _integrated(rate: Array) -> Array:
 
 
 def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
-    """True if the order is certainly more likely than the given others."""
+    """True if the order is certainly more likely than the other orders in `orders`."""
     return fit.ahead(orders) >= BELIEVED_NATS

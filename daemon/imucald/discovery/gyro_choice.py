@@ -28,7 +28,8 @@ def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
 def gyroscope_choice(
     triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
 ) -> tuple[Choice, Order, Triad]:
-    """Return the choice, the signs to apply, and the triad in its unit and order."""
+    """Return three results: the choice, the order and signs to apply, and the triad in its unit and
+    order."""
     unit, doubt = _unit(triad, fit)
     places, signs = fit.order
     x, y, z = (triad.members[i] for i in places)
@@ -46,7 +47,8 @@ def gyroscope_choice(
 
 
 def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
-    """Return the unit from turns or gravity, and why it is not sure."""
+    """Return the unit from turns or gravity, and the reason for a doubt about the unit; the reason
+    is empty if there is none."""
     found = fit.turning if fit.turning.is_believed else fit.carried
     unit = triad.unit
     # In a vehicle, lateral forces tilt the body and add to gravity, so the gain of a weak relation
@@ -71,7 +73,7 @@ def _contradiction(fit: GyroFit) -> str:
 
 
 def _open_question(triad: Triad, fit: GyroFit) -> str:
-    """Return the question that the likelihoods do not decide; empty if there is none."""
+    """Return the question that the likelihoods leave open; empty if there is no such question."""
     orders, signs = right_handed_orders(), fit.order[1]
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"

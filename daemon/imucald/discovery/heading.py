@@ -1,8 +1,9 @@
 """Find the heading, and use its direction of rotation to check the accelerometer's sign.
 
-The course of every receiver is clockwise. Some sensors measure the opposite of the specific force
-(phones, and sensors of a "gravity vector"). Mounted upside down and backwards, such a sensor also
-fits speed, turns and gyroscope. The heading is the only signal on a bus that shows the difference.
+The course of every satellite receiver is clockwise. Some sensors output the negative specific force
+(phones, and sensors of a "gravity vector"). Such a sensor seems to be mounted upside down and
+backwards, which also fits speed, turns and gyroscope. The heading is the only signal on a bus that
+shows the difference.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ from imucald.discovery.scalars import RELATED, SAME_MOTION, by_unit_and_name
 SPAN = 10
 """Time over which a change of the heading is computed [ticks]. A receiver sends at 1 Hz."""
 LARGEST_CHANGE = 1.0
-"""Largest change in that time [rad]. A larger one is the jump from 360 to 0 deg."""
+"""Largest change of the heading in the time `SPAN` [rad]. A larger change is the jump from 360 to 0
+deg."""
 GAIN = 1.5
-"""Largest accepted gain ratio, between 1 (right unit) and 2 (half or twice the unit)."""
+"""Largest accepted gain ratio. It is between 1 (right unit) and 2 (wrong unit by a factor of
+two)."""
 
 REVERSED = (
     "this sensor seems to output minus the specific force, so 'sign: -1' is set: without it, "
@@ -49,27 +52,30 @@ TURNED_TO_FIT = (
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
-    """An angle whose change is the yaw rate. relation: to clockwise rotation. delay: [ticks]."""
+    """An angle whose change is the yaw rate. relation: relation to clockwise rotation. delay:
+    [ticks]."""
 
     candidate: SeenSignal
     relation: Relation
     delay: int
     is_reversed: bool = False
-    """True if the accelerometer was reversed because of the heading."""
+    """True if the signs of the accelerometer's axes were reversed to agree with the heading."""
 
     @property
     def is_named(self) -> bool:
-        """True if its name is that of a compass."""
+        """True if the name is that of a compass signal."""
         return hint("heading", self.candidate) is not None
 
     @property
     def is_like_a_compass(self) -> bool:
-        """True if its name is a compass's or it counts from 0 to 360, without negative values."""
+        """True if the name is that of a compass signal, or if the signal has no negative values, as
+        a count from 0 to 360."""
         return self.is_named or self.candidate.least >= 0.0
 
 
 def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
-    """Return the angle whose change follows the yaw rate best, with its delay, or None."""
+    """Return the angle whose change follows the yaw rate best, with its delay. None if no angle
+    follows the yaw rate."""
     if reference.turn is None:
         return None
     turn = reference.turn
@@ -98,7 +104,8 @@ def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Hea
 def heading_choice(
     fit: HeadingFit | None, reference: KnownMotion, candidates: Sequence[SeenSignal]
 ) -> Choice | None:
-    """Return the proposed heading; if none follows turns, one chosen by unit and name."""
+    """Return the proposed heading. If no angle follows the turns, the heading is chosen by unit and
+    name."""
     if fit is None:
         wide = []
         for c in candidates:
@@ -136,9 +143,9 @@ def doubt_what_is_turned(
 ) -> None:
     """Add doubts if all signs of the gyroscope were reversed before the heading was used.
 
-    The signs were reversed to fit the accelerometer, so the heading tests both sensors together. If
-    the reversal is unsure, agreement does not prove the accelerometer, and disagreement does not
-    prove the reversal.
+    The signs of the gyroscope were reversed to fit the accelerometer, so the heading tests both
+    sensors together. If this reversal is uncertain, an agreement does not prove the signs of the
+    accelerometer, and a disagreement does not prove that they are wrong.
     """
     if fit is None or gyroscope is None:
         return
@@ -153,10 +160,11 @@ def doubt_what_is_turned(
 def hold_against_heading(
     reference: KnownMotion, accelerometer: Choice, fit: HeadingFit | None
 ) -> HeadingFit | None:
-    """Reverse the accelerometer, and all results from it, if a compass shows that it is reversed.
+    """Reverse the accelerometer and all results from it if a compass shows that the accelerometer
+    is reversed.
 
-    Returns the fit with its new direction of rotation. If the name is not that of a compass, all
-    signals with left and right get a doubt.
+    Returns the fit with its new direction of rotation. If the signal's name is not that of a
+    compass, all signals with left and right get a doubt.
     """
     if fit is None or fit.relation.sign > 0 or reference.up is None or reference.turn is None:
         return fit

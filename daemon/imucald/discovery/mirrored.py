@@ -1,4 +1,5 @@
-"""Detect a mirrored accelerometer: all signals with left and right need the other sign."""
+"""Detect a mirrored accelerometer. With a mirrored accelerometer, all signals with left and right
+seem to have the wrong sign."""
 
 from __future__ import annotations
 
@@ -16,10 +17,10 @@ WITH_IT = "its sign depends on the signs of the accelerometer, which are unsure"
 
 
 def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | None) -> None:
-    """Add a doubt to the accelerometer. Reverse it if this is more likely than that all others are
-    reversed.
+    """Add a doubt to an accelerometer that may be mirrored. Reverse the accelerometer if a mirrored
+    accelerometer is more likely than wrong signs of all other signals.
 
-    If a compass is on the bus, it has already decided this.
+    If a compass is on the bus, nothing is changed, because the compass has already decided.
     """
     by_name = {choice.quantity: choice for choice in choices}
     accelerometer = by_name.get("accelerometer")
@@ -73,7 +74,8 @@ def _has_sign_bit(choice: Choice) -> bool:
 
 
 def _turned(by_name: dict[str, Choice]) -> dict[str, bool]:
-    """Return which signals with left and right need the other sign, if their sign is known."""
+    """Return True or False for each signal with left and right whose sign is known: whether its
+    sign must be inverted."""
     turned = {}
     for name in ("gyroscope", *SIDED):
         choice = by_name.get(name)

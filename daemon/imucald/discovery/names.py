@@ -1,4 +1,4 @@
-"""Find axes, wheels and sides in signal names. Names decide only if the data do not."""
+"""Find axes, wheels and sides in signal names. Names decide only if the data do not decide."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ _AXES = {
     "y": ("lateral", "lat", "quer", "sway", "pitch", "nick"),
     "z": ("vertical", "vert", "hoch", "heave", "yaw", "gier"),
 }
-"""Beginnings of the words for a direction or a rotation about it (ISO 8855, DIN 70000)."""
+"""Beginnings of the words for a direction, or for a rotation about this direction (ISO 8855, DIN
+70000)."""
 _AXIS_LETTER = re.compile("(?:a|acc|accel|g|gyr|gyro|w|omega|r|rate|m|mag|b)?([xyz])")
 
 
 def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | None:
-    """Return which of three signals are x, y and z, from a letter or a word for the direction.
+    """Return which of three signals are x, y and z, from a letter or a word for the direction in
+    the names.
 
-    A letter counts if the names differ only in it, as in AccX, AccY, AccZ. A word must be in each
-    name: longitudinal, lateral, vertical, or roll, pitch, yaw, in English or German.
+    A letter counts if the names differ only in this letter, as in AccX, AccY, AccZ. A word must be
+    in each name: longitudinal, lateral, vertical, or roll, pitch, yaw, in English or German.
     """
     names = [c.signal.name for c in candidates]
     for place in range(min(map(len, names))):
@@ -50,7 +52,7 @@ def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | Non
 
 
 def _axis_of(parts: Sequence[str]) -> str:
-    """Return the single axis in the words of a name; empty if there is none or more than one."""
+    """Return the axis that the words of a name show; empty if they show no axis or several axes."""
     found = set()
     for word in parts:
         letter = _AXIS_LETTER.fullmatch(word)
@@ -60,7 +62,7 @@ def _axis_of(parts: Sequence[str]) -> str:
 
 
 def wheel_by_name(name: str) -> str | None:
-    """Return the wheel in a signal's name."""
+    """Return the wheel that a signal's name shows, or None."""
     parts = words(name)
     for part in reversed(parts):
         if part in _CORNERS:
@@ -96,7 +98,7 @@ _OF_ANOTHER = frozenset((
     "set", "setpoint", "limit", "target", "desired", "soll", "max", "min", "cruise", "acc", "obj",
     "object", "rel", "lead", "setspeed", "tempomat", "wunsch",
 ))  # fmt: skip
-"""Words in names of a requested or allowed speed, or of another vehicle's speed."""
+"""Words in the names of a requested or allowed speed, or of another vehicle's speed."""
 
 
 def is_of_another(name: str) -> bool:
@@ -105,12 +107,12 @@ def is_of_another(name: str) -> bool:
 
 
 def hint(quantity: str, candidate: SeenSignal) -> str | None:
-    """Return the word in a signal's name that indicates a quantity."""
+    """Return the word in a signal's name that indicates a quantity, or None."""
     return named_so(quantity, candidate.signal.name)
 
 
 def named_so(quantity: str, name: str) -> str | None:
-    """Return the word in a name that indicates a quantity."""
+    """Return the word in a name that indicates a quantity, or None."""
     known = _HINTS.get(quantity, ())
     for part in words(name):
         if part in known or any(len(k) > 4 and part.startswith(k) for k in known):
@@ -119,6 +121,6 @@ def named_so(quantity: str, name: str) -> str | None:
 
 
 def same_family(a: str, b: str) -> bool:
-    """True if two message names begin with the same word, as INS_Acc_02 and INS_Temp."""
+    """True if two message names begin with the same word, such as INS_Acc_02 and INS_Temp."""
     first, second = words(a), words(b)
     return bool(first and second) and first[0] == second[0] and len(first[0]) > 1

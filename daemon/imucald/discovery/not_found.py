@@ -25,10 +25,10 @@ def not_found(
     candidates: Sequence[SeenSignal],
     announced: Mapping[int, int],
 ) -> dict[str, str]:
-    """Return for each missing quantity why a signal with a similar name was not used.
+    """Return, for each missing quantity, the reason why a signal with a similar name was not used.
 
-    The text is empty if there is no such name. used: paths of signals used for another quantity.
-    announced: messages announced by J1939 transport frames, see `announced_messages`.
+    The reason is empty if no signal has such a name. used: paths of signals used for another
+    quantity. announced: messages announced by J1939 transport frames, see `announced_messages`.
     """
     seen = {c.path: c for c in candidates}
     reasons = {}
@@ -57,7 +57,7 @@ def _why(
     seen: Mapping[str, SeenSignal],
     announced: Mapping[int, int],
 ) -> str:
-    """Return the finding of the recording on a signal with the name of a quantity."""
+    """Return the reason why a signal with the name of a quantity was not used."""
     path = f"{message.name}.{name}"
     if path in seen:
         if seen[path].is_constant:

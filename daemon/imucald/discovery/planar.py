@@ -1,4 +1,4 @@
-"""A vehicle without a three-axis sensor: use the two accelerations of the stability control."""
+"""Use the two accelerations of the stability control in a vehicle without a three-axis sensor."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
 BY_WHEELS = "the wheels that are named right are faster in left turns, which gives the sign"
 WRONG_SCALE = 2.0
-"""Largest accepted ratio to the stated scale. Reverse-engineered databases have such errors. A
-larger ratio means another unit."""
+"""Largest accepted ratio of a measured scale to the stated scale. Reverse-engineered databases have
+such errors. A larger ratio means another unit."""
 
 
 @dataclass
 class Planar:
-    """The result: the two-axis accelerometer and the speed, with the motion that they show."""
+    """The result: the two-axis accelerometer, the speed, and the motion that both show."""
 
     reference: KnownMotion
     accelerometer: Choice
@@ -52,7 +52,8 @@ class _Pair:
 def find_planar(
     candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, taken: set[str]
 ) -> Planar | None:
-    """Find two accelerations: one follows the change of speed, one follows speed times yaw rate."""
+    """Find two accelerations: one that follows the change of speed, and one that follows speed
+    times yaw rate."""
     accelerations = [c for c in candidates if c.states("acceleration") and not c.is_constant]
     speeds = [c for c in speed_candidates(candidates) if c.states("speed")]
     along = _along(speeds, accelerations)
@@ -108,7 +109,8 @@ def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
 
 
 def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_Pair]:
-    """Return speeds with the acceleration that follows their changes, the best first."""
+    """Return pairs of a speed and the acceleration that follows the changes of this speed, the best
+    first."""
     pairs = []
     for v in speeds:
         own = stated_unit(v, "speed")
@@ -125,7 +127,8 @@ def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_P
 def _across(
     v: Array, candidates: Sequence[SeenSignal], accelerations: list[SeenSignal]
 ) -> _Pair | None:
-    """Return a yaw rate and the acceleration equal to speed times it; None if there are none."""
+    """Return a yaw rate and the acceleration that equals speed times this yaw rate; None if there
+    is no such pair."""
     rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
     pairs = []
     for rate, own in rates:
@@ -146,7 +149,7 @@ def _is_clear(found: Relation, comparisons: int) -> bool:
 def _sides(
     v: Array, candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, yaw: SeenSignal
 ) -> tuple[int, str]:
-    """Return the sign that makes a yaw rate positive to the left, and its evidence."""
+    """Return the sign that makes a yaw rate positive to the left, and the evidence for the sign."""
     if wheels:
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):

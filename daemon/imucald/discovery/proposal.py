@@ -11,13 +11,13 @@ from imucald.discovery.candidates import SeenSignal
 
 @dataclass(frozen=True)
 class Proposed:
-    """The source of one number, in the form of the configuration."""
+    """The source of one number, as in the configuration."""
 
     signal: str = ""
-    """``MESSAGE.SIGNAL``; empty if `raw` is given."""
+    """Name ``MESSAGE.SIGNAL``; empty if `raw` is given."""
     raw: Mapping[str, Any] | None = None
     unit: str | None = None
-    """The unit, if it is not the one in the database."""
+    """The unit, if it differs from the unit in the database."""
     sign: int = 1
     sign_signal: str | None = None
     source_address: int | None = None
@@ -28,7 +28,8 @@ class Proposed:
     channel: str | None = None
 
     def settings(self) -> str | dict[str, Any]:
-        """Return the entry for the configuration: a text if only the signal is needed."""
+        """Return the entry for the configuration. The entry is a text if only the name of the
+        signal is needed."""
         found: dict[str, Any] = {"raw": dict(self.raw)} if self.raw else {"signal": self.signal}
         if self.sign_signal is not None:
             found["sign_signal"] = self.sign_signal
@@ -53,7 +54,7 @@ class Proposed:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another choice for the same quantity, and why it is not preferred."""
+    """Another choice for the same quantity. text: its evidence."""
 
     sources: Mapping[str, Proposed]
     text: str
@@ -63,7 +64,7 @@ class Alternative:
 class Choice:
     """The sources of one quantity, by axis or wheel (key "" for a single source).
 
-    evidence: one line. doubt: why the choice is not sure; empty if it is. doubts: by axis or wheel.
+    evidence: one line of text. doubt: reason why the choice is not sure; empty if it is sure.
     """
 
     quantity: str
@@ -80,7 +81,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class ProtectionFound:
-    """The protection of a message in the form of the configuration, and the evidence."""
+    """The protection of a message, as in the configuration, and the evidence for it."""
 
     message: str
     settings: Mapping[str, Any]
@@ -93,27 +94,30 @@ class Proposal:
 
     choices: list[Choice] = field(default_factory=list)
     messages_seen: int = 0
-    """Number of messages of the databases that are in the recording."""
+    """Number of messages of the databases that occur in the recording."""
     protections: list[ProtectionFound] = field(default_factory=list)
     vehicle: list[tuple[str, str, str]] = field(default_factory=list)
-    """Keys of the vehicle, each with value and evidence."""
+    """Keys of the section `vehicle`, each with its value and evidence."""
     channels: Mapping[str, str] = field(default_factory=dict)
-    """Channel of each database by its path, if the recording has several channels."""
+    """Channel of each database, by the path of the database. It is used if the recording has
+    several channels."""
     by_pgn: frozenset[str] = frozenset()
-    """Paths of the databases whose messages are matched by PGN, although they do not say so."""
+    """Paths of the databases whose messages are matched by PGN, although the databases do not state
+    J1939."""
     notes: list[str] = field(default_factory=list)
     loss: str | None = None
-    """A text about a recorder that dropped frames, or None."""
+    """Text about a recorder that dropped frames, or None."""
     move: str | None = None
-    """A text about a sensor that was moved in the recording, or None."""
+    """Text about a sensor that was moved in the recording, or None."""
     missing: Mapping[str, str] = field(default_factory=dict)
-    """Quantities that were not found, each with the reason if it is known."""
+    """Quantities that were not found, each with the reason; the reason is empty if it is not
+    known."""
     driving_side: str = "unknown"
     output_ids: Mapping[str, int] = field(default_factory=dict)
-    """Ids of the output frames, if the usual ids are already used on this bus."""
+    """Ids of the output frames if the default ids are already used on this bus; otherwise empty."""
 
     def choice(self, quantity: str) -> Choice | None:
-        """Return the choice of a quantity; None if there is none."""
+        """Return the choice of a quantity; None if the quantity has no choice."""
         return next((c for c in self.choices if c.quantity == quantity), None)
 
 

@@ -1,9 +1,9 @@
-"""Find alive counters and checksums of a message by trying them on its frames.
+"""Find alive counters and checksums of a message by testing them on its frames.
 
-A checksum of eight bits fits a frame by chance with probability 1/256. It must fit nearly all of at
-least 20 different frames. Unknown data ids of AUTOSAR E2E profiles need no search. A CRC is linear,
-so the contribution of an id is the same number for all frames of a message. If ids alternate, it is
-the same for all frames with one counter value.
+A checksum of eight bits fits a frame by chance with a probability of 1/256. A checksum is therefore
+accepted only if it fits nearly all of at least 20 different frames. Unknown data ids of AUTOSAR E2E
+profiles need no search: a CRC is linear, so an id contributes the same number to the checksum of
+every frame. If ids alternate, the contribution is the same for all frames with one counter value.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from imucald.discovery.proposal import ProtectionFound
 
 MAX_FRAMES = 20_000
 MIN_DIFFERENT = 20
-"""Smallest number of different frames, so that a fit is not by chance (256^-20)."""
+"""Smallest number of different frames, so that a fit cannot be chance (256^-20)."""
 FITS = 0.99
 """Share of the frames that a checksum must fit. A recording may contain damaged frames."""
 COUNTS = 0.9
@@ -58,7 +58,7 @@ class _Options:
 
 
 def find_protection(one: MessageTraffic) -> ProtectionFound | None:
-    """Find counter and checksum of a message; None if it has neither."""
+    """Find the counter and the checksum of a message; None if the message has neither."""
     whole = one.length == one.message.length
     data = one.data[whole][:MAX_FRAMES]
     if len(data) < MIN_DIFFERENT or data.shape[1] < one.message.length:
@@ -225,7 +225,8 @@ def _profile_5(size: int, offset: int, data: Columns) -> Found:
 
 
 def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] | None:
-    """Return the counter (N,) of a profile's header at a bit, if it counts up."""
+    """Return the counter (N,) of a profile's header that begins at a bit; None if the counter does
+    not count up."""
     header = E2E_COUNTERS[profile]
     field = Field(bit + header.bit, header.length, "little_endian")
     if field.end_byte > data.shape[1]:
@@ -236,7 +237,7 @@ def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] 
 
 
 def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
-    """Return the difference (XOR) of stored checksums (N,) from checksums without an id."""
+    """Return the XOR difference (N,) between the stored checksums and checksums without an id."""
     stored = data[:, spec.position].astype(np.uint16)
     if spec.width == 2:
         stored |= data[:, spec.position + 1].astype(np.uint16) << np.uint16(8)
@@ -250,7 +251,7 @@ def _difference(spec: ChecksumSpec, without: ChecksumSpec) -> int:
 
 
 def _common(values: NDArray[np.uint16]) -> int | None:
-    """Return the number that nearly all values have; None if there is none."""
+    """Return the number that nearly all values equal; None if there is no such number."""
     if len(values) < 3:
         return None
     numbers, counts = np.unique(values, return_counts=True)

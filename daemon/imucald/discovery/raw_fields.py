@@ -1,7 +1,8 @@
 """Find measured numbers in frames that no database describes.
 
-A field of one or two bytes counts if consecutive values are close together and the range is wide.
-Upper bits that jump (flags of other signals) are masked. Fields are proposed as `raw`.
+A field of one or two bytes is used if consecutive values are close together and the range of the
+values is wide. Upper bits that jump (flags of other signals) are masked. Fields are proposed as
+`raw`.
 """
 
 from __future__ import annotations
@@ -24,14 +25,15 @@ MIN_LEVELS = 40
 CLOSE = 0.02
 """Largest median step of a smooth field, relative to its range."""
 JUMP = 0.25
-"""A step of at least this share of the range is a jump (a wrap, or bits of other signals)."""
+"""Smallest step that counts as a jump, as a share of the range (a wrap, or bits of other
+signals)."""
 MAX_MASKED = 5
 """Largest number of upper bits that may belong to other signals."""
 MAX_STEP_S = 1.0
 
 
 def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Iterator[SeenSignal]:
-    """Yield all fields of identifiers that are not `known`, wide fields first."""
+    """Yield all fields of the identifiers that are not in `known`, wide fields first."""
     several = len({one.channel for one in traffic}) > 1
     for one in traffic:
         if one.can_id in known or len(one) < MIN_FRAMES:

@@ -1,9 +1,9 @@
 """Find a speed and a steering angle in bytes that no database describes.
 
 Speeds are fields that are proportional to each other: wheels, transmission, display. The steering
-angle is a field that follows the curvature: the difference of two wheel speeds divided by their
-speed. If an accelerometer is known, it gives the scale of the speed. No result is sure, so all of
-them are only suggestions.
+angle is a field that follows the curvature, which is the difference of two wheel speeds divided by
+their mean. If an accelerometer is known, the accelerometer gives the scale of the speed. No result
+is sure, so all results are only suggestions.
 """
 
 from __future__ import annotations
@@ -21,22 +21,24 @@ from imucald.discovery.reference import KnownMotion, response
 from imucald.discovery.scalars import SAME_MOTION
 
 ROLL_TOGETHER = 0.995
-"""Smallest correlation of two speeds of one vehicle."""
+"""Smallest correlation between two speeds of one vehicle."""
 NO_OFFSET = 0.02
-"""Largest value of a speed while another one is zero, relative to its range."""
+"""Largest value of a speed while another speed is zero, relative to the range."""
 USUAL_KMH = (0.01, 1.0 / 64.0, 0.05625, 0.1, 1.0 / 256.0, 0.05, 0.02, 1.0)
 """Common scales of a speed signal [km/h]."""
 TOP_SPEED = (8.0, 250.0)
 """Smallest and largest possible top speed of a drive [km/h]."""
 TRACK, STEERING_METRES = 1.55, 40.0
-"""Values of a passenger car [m]. The resulting scale is right within a third."""
+"""Track, and wheelbase times steering ratio, of a passenger car [m]. The error of the resulting
+scale is less than a third."""
 MAX_OFFERS = 3
 
 
 def raw_choices(
     fields: Sequence[SeenSignal], reference: KnownMotion, wanted: set[str]
 ) -> list[Choice]:
-    """Return suggestions for `speed` and `steering_wheel_angle` if wanted. None is active."""
+    """Return suggestions for `speed` and `steering_wheel_angle` if they are in `wanted`. The
+    suggestions are written as comments."""
     found = []
     if "speed" in wanted:
         choice = _speed(fields, reference)
@@ -98,7 +100,8 @@ def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | Non
 
 
 def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
-    """Group fields that are proportional and zero at the same times; the largest group first."""
+    """Return groups of fields that are proportional and zero at the same times, the largest group
+    first."""
     rolling = [c for c in fields if _rests_at_its_least(c)]
     left, groups = list(rolling), []
     while left:
@@ -112,7 +115,8 @@ def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
 
 
 def _rests_at_its_least(c: SeenSignal) -> bool:
-    """True if a field is never far below its first percentile. An angle goes in both directions."""
+    """True if the smallest value of a field is close to zero. An angle, in contrast, has values in
+    both directions."""
     known = c.x[np.isfinite(c.x)]
     return bool(len(known)) and c.least <= 0.1 * c.largest
 
@@ -134,7 +138,8 @@ def _plausible_scale(c: SeenSignal) -> float:
 
 
 def _usual(scale: float, usual: Sequence[float]) -> float:
-    """Return the common scale within 20 %, else the found scale with two digits."""
+    """Return the common scale within 20 % of the found scale, else the found scale with two
+    digits."""
     nearest = min(usual, key=lambda u: abs(np.log(u / scale)))
     return nearest if 0.8 < nearest / scale < 1.25 else float(f"{scale:.2g}")
 
@@ -181,7 +186,8 @@ def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | 
 
 
 def _curvature_of_wheels(fields: Sequence[SeenSignal]) -> tuple[Array | None, set[str]]:
-    """Return the curvature [1/m] from two adjacent wheels in a message; its sign is unknown."""
+    """Return the curvature [1/m] from two adjacent wheels in a message. The sign of the curvature
+    is unknown."""
     for group in speed_groups(fields):
         by_message: dict[str, list[SeenSignal]] = {}
         for c in group:

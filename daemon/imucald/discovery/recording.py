@@ -12,14 +12,16 @@ from imucald.can.columns import FrameColumns, concatenate
 from imucald.runtime.timebase import TimeBase
 
 MAX_SECONDS = 2400.0
-"""Longest collected time [s]. 40 min have more turns and stops than any decision here needs."""
+"""Longest collected time [s]. The decisions of this package need fewer turns and stops than a
+vehicle makes in 40 min."""
 MAX_FRAMES = 6_000_000
-"""Largest number of collected frames, for a fast bus; about 150 MB."""
+"""Largest number of collected frames, for a fast bus. This number of frames needs about 150 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """All frames of one identifier on one channel; t (N,): time since the recording's start [s]."""
+    """All frames of one identifier on one channel. t: (N,) time since the start of the recording
+    [s]."""
 
     channel: str
     can_id: int
@@ -32,14 +34,14 @@ class Traffic:
 
 
 class GatheredFrames:
-    """Collects frames, then returns them by channel and identifier."""
+    """Collects frames and returns them by channel and identifier."""
 
     def __init__(self) -> None:
         self._timebase = TimeBase()
         self._parts: list[FrameColumns] = []
         self._frames = 0
         self.is_full = False
-        """True if more frames came than could be collected."""
+        """True if there were more frames than could be collected."""
 
     @classmethod
     def from_chunks(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:
@@ -52,7 +54,8 @@ class GatheredFrames:
         return recording
 
     def add_chunk(self, frames: FrameColumns) -> None:
-        """Add a chunk of frames of a log or a bus. It must include unwanted frames."""
+        """Add a chunk of frames of a log or a bus. The chunk must contain all frames, not only the
+        wanted frames."""
         for segment in self._timebase.segments(frames.t):
             if self.is_full or not len(segment.t):
                 return
@@ -68,7 +71,8 @@ class GatheredFrames:
                 self._parts.append(timed)
 
     def between(self, first: float, last: float) -> GatheredFrames:
-        """Return the frames of a part of the recording; times [s] count from its first frame."""
+        """Return the frames of a part of the recording. first, last: times since the first frame
+        [s]."""
         made = GatheredFrames()
         for part in self._parts:
             made.add_chunk(part.take((part.t >= first) & (part.t < last)))

@@ -1,8 +1,9 @@
 """The vehicle's motion, as the reference with which signals are compared.
 
-Signals are connected only by physics. An accelerometer shows the change of speed along the vehicle,
-and speed times yaw rate across it. For a three-axis sensor, gravity gives the vertical, the change
-of speed gives forward, and both give left (axes are assumed to be right-handed).
+Signals are connected only by physics. The forward acceleration is the change of speed, and the
+acceleration to the left is speed times yaw rate. For a three-axis sensor, gravity gives the
+direction up, and the change of speed gives the direction forward. Up and forward give the direction
+left (axes are assumed to be right-handed).
 """
 
 from __future__ import annotations
@@ -20,37 +21,38 @@ from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, fa
 from imucald.discovery.triads import Triad
 
 DELAYS = range(-6, 26)
-"""Possible delays of speed and course [ticks]. OBD-II causes up to 1.5 s. A receiver causes up to
-2.5 s if it smooths, is asked once per second, and its answer waits."""
+"""Possible delays of speed and course [ticks]. OBD-II causes up to 1.5 s. A satellite receiver
+causes up to 2.5 s if it smooths its values and is asked once per second."""
 GAIN_TOLERANCE = 1.25
 """Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
 have gains of 0.8 to 1.2."""
 MOVING = 3.0
-"""Smallest speed for the comparison of turns [m/s]. At lower speed the vehicle may be reversing.
-With an unsigned speed, left and right are then exchanged. Also, curvature would be divided by
-nearly zero."""
+"""Smallest speed for the comparison of turns [m/s]. A slower vehicle may be reversing, and with an
+unsigned speed, left and right are then exchanged. A smaller speed would also be a division by
+nearly zero in the curvature."""
 LEAST_SPEED_BITS = 7
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedFit:
-    """A speed compared with the accelerometer. delay: [ticks]. relation: to the accelerometer."""
+    """A speed compared with the accelerometer. delay: delay of the speed [ticks]. relation:
+    relation to the accelerometer."""
 
     candidate: SeenSignal
     unit: UnitChoice
     relation: Relation
     delay: int = 0
     forward: Array | None = None
-    """Forward direction: unit vector (3,) in the accelerometer's axes."""
+    """Direction forward: unit vector (3,) in the accelerometer's axes."""
 
     @property
     def is_believed(self) -> bool:
-        """True if its changes certainly show in the accelerometer."""
+        """True if the changes of the speed certainly appear in the accelerometer."""
         return self.relation.is_believed
 
     @property
     def speed(self) -> Array:
-        """The speed (n,) [m/s], with its delay removed."""
+        """The speed (n,) [m/s] without its delay."""
         return shifted(self.candidate.smooth * self.unit.factor, self.delay)
 
     @property
@@ -60,16 +62,16 @@ class SpeedFit:
 
     @property
     def moving(self) -> Array:
-        """The speed (n,) [m/s] if it is above MOVING, else NaN."""
+        """The speed (n,) [m/s]; NaN where it is not above MOVING."""
         return moving(self.speed)
 
 
 @dataclass(eq=False)
 class KnownMotion:
-    """The known part of the vehicle's motion; arrays (n,) in SI.
+    """The known part of the vehicle's motion. Arrays are (n,) in SI.
 
     along, lateral: acceleration forward and to the left, from the accelerometer. turn: yaw rate,
-    positive to the left.
+    positive to the left. up: (3,) direction up in the accelerometer's axes.
     """
 
     accelerometer: Triad | None = None
@@ -79,15 +81,16 @@ class KnownMotion:
     lateral: Array | None = None
     turn: Array | None = None
     sides_from: str = ""
-    """The evidence that distinguishes left from right."""
+    """Text with the evidence that distinguishes left from right; empty if there is none."""
 
     @property
     def forward(self) -> Array | None:
-        """Forward direction (3,) in the accelerometer's axes."""
+        """Direction forward (3,) in the accelerometer's axes."""
         return None if self.speed is None else self.speed.forward
 
     def set_lateral(self) -> None:
-        """Compute the lateral acceleration from up and forward, if both are known."""
+        """Compute the forward and the lateral acceleration from the directions up and forward, if
+        both are known."""
         if self.accelerometer is None or self.up is None or self.forward is None:
             return
         self.along = self.accelerometer.smooth @ self.forward
@@ -103,12 +106,13 @@ class KnownMotion:
 
 
 def moving(speed: Array) -> Array:
-    """Return a speed (n,) [m/s] if it is above MOVING, else NaN."""
+    """Return a speed (n,) [m/s]; NaN where it is not above MOVING."""
     return np.where(np.abs(speed) > MOVING, speed, np.nan)
 
 
 def direction_up(accelerometer: Triad) -> Array:
-    """Return up as the unit vector (3,) of the mean specific force (slopes cause an error)."""
+    """Return the direction up: the unit vector (3,) of the mean specific force. Slopes cause an
+    error."""
     mean = np.nanmean(accelerometer.smooth, axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
 
@@ -126,7 +130,8 @@ def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
 
 
 def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> SpeedFit | None:
-    """Compare the changes of a speed with the accelerometer, and find its unit, or None."""
+    """Compare the changes of a speed with the accelerometer, and find the unit of the speed. None
+    if the accelerometer does not show the changes."""
     found = response(c, triad, up)
     if found is None:
         return None
@@ -142,9 +147,10 @@ def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> Speed
 
 
 def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Array] | None:
-    """Find the horizontal acceleration [m/s^2] per unit of speed change per second.
+    """Compare the horizontal acceleration with the change of a speed signal.
 
-    Returns the relation, the delay of the speed [ticks], and forward (3,); None if too weak.
+    Returns the relation ([m/s^2] per unit of speed change per second), the delay of the speed
+    [ticks], and the direction forward (3,). None if the relation is too weak.
     """
     level = level_axes(up)
     accel = triad.smooth @ level.T
@@ -169,7 +175,7 @@ def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Arr
 
 
 def stated_unit(c: SeenSignal, dimension: str) -> UnitChoice | None:
-    """Return a candidate's stated unit if it is a unit of the dimension."""
+    """Return a candidate's stated unit; None if it is not a unit of this dimension."""
     factor = factor_of(c.unit, dimension) if c.states(dimension) else None
     return None if factor is None else UnitChoice(c.unit, factor, True)
 
@@ -177,7 +183,7 @@ def stated_unit(c: SeenSignal, dimension: str) -> UnitChoice | None:
 def unit_for(
     c: SeenSignal, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
 ) -> UnitChoice | None:
-    """Return the unit in which a signal equals its SI reference within a tolerance."""
+    """Return the unit in which a signal equals its SI reference within a tolerance, or None."""
     if not found.low > 0.0:
         return None
     low, high = 1.0 / (found.high * tolerance), tolerance / found.low
@@ -193,7 +199,8 @@ def level_axes(up: Array) -> Array:
 
 
 def _explained(accel: Array, change: Array) -> float:
-    """Return the share of the variance of speed changes explained by horizontal acceleration."""
+    """Return the share of the variance of speed changes that the horizontal acceleration
+    explains."""
     rows = np.isfinite(change) & np.isfinite(accel).all(axis=1)
     if np.count_nonzero(rows) < 50:
         return 0.0

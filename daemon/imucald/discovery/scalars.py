@@ -1,7 +1,7 @@
 """Find single signals that follow the vehicle's motion: yaw rate, accelerations, steering.
 
-Each quantity has a reference from other signals and a gain known from physics. They determine its
-sign and unit.
+Each quantity has a reference from other signals, and a gain that is known from physics. Reference
+and gain determine the sign and the unit of the signal.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import stated_unit, unit_for
 
 SAME_MOTION = 0.5
-"""Smallest share of common variance at which a signal and its reference are the same quantity.
-Below it, one may only be the cause of the other."""
+"""Smallest share of common variance at which a signal and its reference are the same quantity. With
+a smaller share, the signal may only be a cause or an effect of the reference."""
 STEERING_METRES = (15.0, 130.0)
-"""Range of wheelbase times steering ratio [m]: from half of a small car's with a quick rack
-(2.4 m x 12) to a lorry's (6 m x 20)."""
+"""Range of wheelbase times steering ratio [m]. The lower limit is half the value of a small car
+with a quick rack (2.4 m x 12). The upper limit is the value of a lorry (6 m x 20)."""
 RELATED = 0.25
-"""Smallest share of common variance if the stated unit fits too. Half of the amplitude is then from
-the reference."""
+"""Smallest share of common variance if the stated unit also fits. With this share, half of the
+amplitude comes from the reference."""
 MAX_ALTERNATIVES = 3
 
 
@@ -40,12 +40,13 @@ class Match:
 
 @dataclass(frozen=True)
 class ScalarQuantity:
-    """A quantity of a single signal. unit: function that finds its unit from the relation."""
+    """A quantity of a single signal. unit: function that finds the unit of a signal from its
+    relation to the reference."""
 
     name: str
     dimension: str
     words: str
-    """A text about its reference, for the evidence."""
+    """Text that describes the reference, for the evidence."""
     unit: Callable[[SeenSignal, Relation], UnitChoice | None]
 
 
@@ -54,7 +55,8 @@ def _by_gain(dimension: str) -> Callable[[SeenSignal, Relation], UnitChoice | No
 
 
 def _steering_unit(c: SeenSignal, found: Relation) -> UnitChoice | None:
-    """Return the angle's unit in which wheelbase times steering ratio is plausible."""
+    """Return the unit of the angle in which wheelbase times steering ratio is plausible, or
+    None."""
     if not found.low > 0.0:
         return None
     low, high = STEERING_METRES
@@ -75,9 +77,11 @@ STEERING = ScalarQuantity("steering_wheel_angle", "angle", "the curvature", _ste
 def find_scalar(
     quantity: ScalarQuantity, reference: Array | None, candidates: Sequence[SeenSignal], sides: str
 ) -> Choice | None:
-    """Return the signal that follows a reference best, with its unit and sign; None if none does.
+    """Return the signal that follows a reference best, with its unit and sign; None if no signal
+    follows it.
 
-    sides: the evidence for left and right; empty if there is none or if the quantity has no side.
+    sides: the evidence for left and right; empty if there is no evidence. A quantity without sides
+    gets any other text.
     """
     usable = [
         c
@@ -117,7 +121,7 @@ def find_scalar(
 
 
 def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
-    """Sort matches: fitting units first, then stated units, then by the strength of relation."""
+    """Sort matches: fitting units first, then stated units, then the strongest relation."""
     return sorted(
         matches,
         key=lambda m: (
@@ -152,7 +156,8 @@ def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: st
 def by_unit_and_name(
     name: str, dimension: str, candidates: Sequence[SeenSignal], why: str = ""
 ) -> Choice | None:
-    """Return the choice from unit and name alone. It is never sure."""
+    """Return the choice from unit and name alone; None if there is none. Such a choice is never
+    sure."""
     named = [
         c
         for c in candidates

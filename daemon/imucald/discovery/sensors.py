@@ -1,4 +1,5 @@
-"""Find accelerometer, speed, gyroscope and magnetometer. Other signals are compared with them."""
+"""Find accelerometer, speed, gyroscope and magnetometer. All other signals are compared with these
+sensors."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ from imucald.discovery.triads import (
 from imucald.discovery.wheels import wheel_sets
 
 MAX_TRIADS = 6
-"""Largest number of triads compared with every speed, if no unit shows the accelerometer."""
+"""Largest number of triads that are compared with every speed, if no unit shows which triad is the
+accelerometer."""
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
     "the accelerometer is in raw counts, since the database states no scale; 1 g is "
@@ -62,18 +64,21 @@ BY_PLACES = "the axes are in the order of their bits"
 
 
 class Sensors:
-    """The sensor to calibrate, and the speed. `reference`: the motion. `taken`: used signals."""
+    """The sensor to calibrate, and the speed. reference: the vehicle's motion. taken: paths of used
+    signals."""
 
     def __init__(
         self, candidates: Sequence[SeenSignal], with_signs: Sequence[SeenSignal] = ()
     ) -> None:
-        """Find the sensors. with_signs: candidates plus magnitudes with a sign bit (yaw rates)."""
+        """Find the sensors. with_signs: candidates and, in addition, magnitudes with a sign bit
+        (yaw rates)."""
         self.candidates = candidates
         self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
         self.taken: set[str] = {c.path for c in self.wheels or ()}
         self.other_axes: set[str] = set()
-        """Axes of other accelerometers on the bus, whose mounts are not known."""
+        """Axes of other accelerometers on the bus. The mounts of these accelerometers are not
+        known."""
         self.heading: HeadingFit | None = None
         self._found: list[Choice | None] = []
         self._speeds: list[SpeedFit] = []
@@ -129,8 +134,8 @@ class Sensors:
         self._found += [gyro, self._magnetometer(), speed]
 
     def _best_of(self, triads: list[Triad]) -> Triad:
-        """Return the accelerometer to which a gyroscope of the bus belongs, else the one that shows
-        the changes of speed best.
+        """Return the accelerometer that fits a gyroscope of the bus best. Without a gyroscope,
+        return the accelerometer that shows the changes of speed best.
         """
         explained = [self._speed_for(t) for t in triads]
         showing = [t for t, e in zip(triads, explained, strict=True) if e >= SAME_MOTION]
@@ -146,7 +151,7 @@ class Sensors:
         return max(showing, key=fit)
 
     def _speed_for(self, triad: Triad) -> float:
-        """Return the quality of the best speed's fit to a triad; store the fits."""
+        """Return the quality of the best fit between a speed and a triad, and store all fits."""
         up = direction_up(triad)
         members = {m.path for m in triad.members}
         fits = [
@@ -160,7 +165,8 @@ class Sensors:
     # speed -----------------------------------------------------------------------------------
 
     def _choose_speed(self) -> Choice | None:
-        """Choose the speed whose changes show best in the accelerometer, or else the wheels."""
+        """Choose the speed whose changes appear best in the accelerometer. If there is no such
+        speed, use the wheel speeds as the reference."""
         wheels = {c.path for c in self.wheels or ()}
         believed = [f for f in self._speeds if f.is_believed]
         rolling = best_first([f for f in believed if f.candidate.path in wheels], None)
@@ -181,7 +187,8 @@ class Sensors:
         return Choice("speed", chosen, words, doubt, others[:MAX_ALTERNATIVES])
 
     def _speed_by_unit(self, wheels: set[str]) -> Choice | None:
-        """Choose a speed without an accelerometer: by its unit, and if several, by its name."""
+        """Choose a speed that the accelerometer does not confirm: by its unit, and among several
+        speeds by its name."""
         usable = [
             c
             for c in self.candidates

@@ -1,7 +1,8 @@
 """Choose the vehicle's speed among several speeds.
 
-A speedometer may show up to 10 % plus 4 km/h more (UN Regulation 39). Its changes show in the
-accelerometer as clearly as the true ones. Only the wheel speeds show the difference.
+A speedometer may show up to 10 % plus 4 km/h too much (UN Regulation 39). The changes of its speed
+appear in the accelerometer as clearly as the changes of the true speed. Only the wheel speeds show
+the difference.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from imucald.discovery.reference import SpeedFit, stated_unit
 from imucald.discovery.scalars import SAME_MOTION
 
 NEAR_WHEELS = 0.04
-"""Largest relative difference of a speed from the wheel mean (worn and wrong tyres, slip)."""
+"""Largest relative difference between a speed and the mean wheel speed (worn and wrong tyres,
+slip)."""
 ONE_UNIT = 0.2
-"""Largest relative difference at which a speed has the same unit as the wheels."""
+"""Largest relative difference between a speed and the wheel speeds at which both have the same
+unit."""
 
 
 def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
@@ -34,7 +37,7 @@ def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
 
 
 def apart_from(fit: SpeedFit, mean: Array) -> float:
-    """Return the relative difference of a speed from the wheel speed (rms)."""
+    """Return the relative difference between a speed and the mean wheel speed (rms)."""
     own = np.abs(fit.candidate.smooth * fit.unit.factor)
     rows = np.isfinite(own) & np.isfinite(mean)
     if np.count_nonzero(rows) < 50 or not mean[rows].any():
@@ -43,10 +46,11 @@ def apart_from(fit: SpeedFit, mean: Array) -> float:
 
 
 def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
-    """Sort speeds: near the wheels first, then stated units, then the best explanation.
+    """Sort speeds: speeds near the wheel speeds first, then stated units, then the best explanation
+    of the accelerations.
 
-    If two differ only by chance, the one with a speed's name is first, then the one with the faster
-    cycle. Signals without a unit are kept only if they share most of the motion.
+    If two speeds differ only by chance, a speed with a name of a speed is first, then the speed
+    with the shorter cycle. Signals without a unit are kept only if they explain most of the motion.
     """
     fits = [f if mean is None else _in_wheels_unit(f, mean) for f in fits]
     fits = [f for f in fits if f.unit.is_stated or f.relation.explained >= SAME_MOTION]
@@ -66,7 +70,7 @@ def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
 
 
 def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
-    """Return a speed without a unit in the unit that makes it equal to the wheel speed."""
+    """Return a speed without a unit, with the unit that makes it equal to the wheel speed."""
     if fit.unit.is_stated:
         return fit
     found = relation(mean, fit.candidate.smooth)
@@ -81,7 +85,7 @@ def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
 
 
 def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
-    """Return why the first of several speeds is not sure; empty if it is sure."""
+    """Return the reason why the first of several speeds is not sure; empty if it is sure."""
     best = fits[0]
     if not best.unit.is_sure:
         return f"the database states no unit; {', '.join(best.unit.others)} would fit too"

@@ -1,6 +1,7 @@
-"""Sensors of three axes: find three signals that belong together, and their unit.
+"""Three-axis sensors: find three signals that belong together, and their unit.
 
-The three axes of an accelerometer form a vector. Its size at rest is 1 g for any mount.
+The three axes of an accelerometer form a vector. The size of this vector at rest is 1 g for any
+mount.
 """
 
 from __future__ import annotations
@@ -20,35 +21,36 @@ from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import is_unit
 
 LEAST_COUNTS = 50.0
-"""Smallest number of counts for 1 g. No sensor has fewer."""
+"""Smallest number of counts for 1 g. Every sensor has more counts."""
 MIN_BITS = 7
 """Smallest length of a sensor axis [bits]."""
 MAX_TOGETHER = 12
-"""Up to this number of similar signals in a message, any three are tried; above, only adjacent
-ones."""
+"""Largest number of similar signals in a message of which any three are tested. With more signals,
+only adjacent signals are tested."""
 SCALE_AND_OFFSET = 0.08
 """Largest relative error of a sensor's 1 g: 5 % of scale and 30 mg of offset (consumer MEMS)."""
 WRONG_SCALE = 0.25
 """Relative error of 1 g above which a stated unit is wrong."""
 NORM_SPREAD = 0.05
 """Largest relative spread of the vector's size in a drive. A manoeuvre of 0.3 g increases the size
-by sqrt(1 + 0.3^2) - 1 = 0.04, and most of a drive is calmer."""
+by sqrt(1 + 0.3^2) - 1 = 0.04. In most of a drive, the manoeuvres are weaker."""
 CALM_PART = 0.1
-"""Share of a drive in which even a racing driver neither brakes nor turns. In it, the vector
-(smoothed over bumps) is never shorter than 1 g, and hardly longer."""
+"""Share of a drive in which even a racing driver neither brakes nor turns. In this share of a
+drive, the size of the smoothed specific force is 1 g or slightly more."""
 EARTH_FIELD = (22e-6, 67e-6)
 """Range of the earth's magnetic field [T] (World Magnetic Model)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triad:
-    """Three signals as x, y, z. names_axes: whether their names show the axes."""
+    """Three signals as x, y, z. names_axes: True if the names of the signals show the axes."""
 
     members: tuple[SeenSignal, SeenSignal, SeenSignal]
     unit: UnitChoice
     names_axes: bool
     size: float = math.nan
-    """Median size of the vector in SI; for hard driving, the median of the calm part."""
+    """Median size of the vector in SI. With hard driving, a low quantile of the size is used
+    instead."""
     spread: float = math.nan
     """Robust relative standard deviation of the size."""
 
@@ -64,18 +66,19 @@ class Triad:
 
     @property
     def apart(self) -> int:
-        """Difference of the identifiers of its messages; 0 for one message."""
+        """Largest difference between the identifiers of the triad's messages; 0 for a single
+        message."""
         ids = [m.message.can_id for m in self.members]
         return max(ids) - min(ids)
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Names of their messages."""
+        """Names of the triad's messages."""
         return tuple(dict.fromkeys(m.message.name for m in self.members))
 
 
 def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads with a size of 1 g, the most likely first."""
+    """Return all triads whose vector has a size of 1 g, the most likely first."""
     found: list[Triad] = []
     for three in _threes(candidates, "acceleration"):
         fit = _of_one_g(three)
@@ -86,9 +89,11 @@ def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads without a unit, named as axes, whose vector has a constant size in counts.
+    """Return all triads without a unit whose names show the axes and whose vector has a constant
+    size in counts.
 
-    The earth's field in a magnetometer is constant too. Only motion shows the difference.
+    The vector of a magnetometer also has a constant size (the earth's field). An accelerometer and
+    a magnetometer can be distinguished only by the vehicle's motion.
     """
     found = []
     for three in _threes(candidates, "acceleration"):
@@ -103,14 +108,16 @@ def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, int, float]:
-    """Sort key: stated unit, named axes, one message or near ones, then the most constant 1 g."""
+    """Return the sort key. A stated unit comes first, then named axes, then a single message or
+    near messages, then the most constant size."""
     stated = all(m.states("acceleration") for m in triad.members)
     apart = triad.apart
     return not stated, not triad.names_axes, apart > 0, apart, triad.spread
 
 
 def _sizes(three: tuple[SeenSignal, ...]) -> tuple[Array, float, float]:
-    """Return the sizes (n,) of a vector in its signals' unit, their median, and relative spread.
+    """Return the sizes (n,) of a vector in the unit of its signals, the median of the sizes, and
+    their relative spread.
 
     If the size is unknown, the median is 0.0 and the spread is infinite.
     """
@@ -142,10 +149,11 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
 
 
 def of_another_size(candidates: Sequence[SeenSignal]) -> str:
-    """Return a text about three accelerations of a message with a constant size that is not 1 g.
+    """Return a text about three accelerations of a message whose size is constant but not 1 g;
+    empty if there are none.
 
-    The size of gravity is constant in any drive. With a wrong scale in the database, it is constant
-    at another value. Only signals with a unit and names of axes count. Empty if there are none.
+    The size of gravity is constant in any drive. With a wrong scale in the database, the size is
+    constant at another value. Only signals with a unit and with names of axes count.
     """
     for three in _threes(candidates, "acceleration"):
         ordered, named = in_order(three)
@@ -173,7 +181,7 @@ def _one_g_unit(stated: str, size: float, tolerance: float) -> UnitChoice | None
 
 
 def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads that may be angular rates. The unit is not checked yet."""
+    """Return all triads that may be angular rates. The unit is not yet checked."""
     found = []
     for three in _threes(candidates, "angular_rate"):
         ordered, named = in_order(three)
@@ -184,7 +192,7 @@ def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads with a unit of the magnetic field or with names of a magnetometer."""
+    """Return all triads with a unit of the magnetic field."""
     found = []
     for three in _threes(candidates, "magnetic_field"):
         ordered, named = in_order(three)
@@ -208,7 +216,8 @@ def _stated_or_first(candidate: SeenSignal, dimension: str) -> UnitChoice:
 def in_order(
     three: tuple[SeenSignal, ...],
 ) -> tuple[tuple[SeenSignal, SeenSignal, SeenSignal], bool]:
-    """Sort three signals as x, y, z by names, else by position. Return also whether by names."""
+    """Return three signals in the order x, y, z: by their names, or else by their position. The
+    second result is True if names were used."""
     named = axes_by_name(three)
     if named is not None:
         x, y, z = (three[i] for i in named)
@@ -218,7 +227,7 @@ def in_order(
 
 
 def _place(candidate: SeenSignal) -> tuple[int, int]:
-    """Return the identifier, and the bit position from the payload's start."""
+    """Return the identifier, and the position of the first bit from the start of the payload."""
     signal = candidate.signal
     big = signal.byte_order == "big_endian"
     bit = 8 * (signal.start // 8) + 7 - signal.start % 8 if big else signal.start
@@ -228,7 +237,7 @@ def _place(candidate: SeenSignal) -> tuple[int, int]:
 def _threes(
     candidates: Sequence[SeenSignal], dimension: str
 ) -> Iterator[tuple[SeenSignal, SeenSignal, SeenSignal]]:
-    """Yield sets of three similar signals: from one message, or from two or three messages."""
+    """Yield sets of three similar signals, from one, two or three messages."""
     usable = [
         c
         for c in candidates
@@ -258,8 +267,8 @@ def _threes(
 
 
 def _alike(c: SeenSignal) -> int:
-    """Return the number of similar signals of the message in the database. An axis that is missing
-    in cut frames is not in another message."""
+    """Return the number of similar signals of the message in the database. If an axis is missing
+    only because frames were cut, it is not in another message."""
     signals = c.message.signals.values()
     return sum((s.unit, s.length) == (c.signal.unit, c.signal.length) for s in signals)
 
@@ -269,7 +278,7 @@ def _are_across(three: tuple[SeenSignal, ...]) -> bool:
 
 
 def _pace(c: SeenSignal) -> int:
-    """Return a number that is equal for signals with the same rate within an eighth."""
+    """Return a number that is equal for signals whose rates agree within an eighth."""
     return round(4.0 * math.log(c.cycle + 1e-6))
 
 
@@ -288,7 +297,7 @@ def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:
-    """Keep only triads that share no signal with a better triad."""
+    """Return the triads without those that share a signal with a better triad."""
     used: set[str] = set()
     kept = []
     for triad in found:

@@ -1,4 +1,4 @@
-"""Find the signals of turns: yaw rate, steering, accelerations, wheels; and vehicle dimensions."""
+"""Find the signals of turns (yaw rate, steering, accelerations, wheels) and vehicle dimensions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WHEELBASE = 2.7
 
 
 class Turning:
-    """Signals of turns. vehicle: (key, value, evidence) of vehicle data found from them."""
+    """Signals of turns. vehicle: (key, value, evidence) of vehicle data that these signals show."""
 
     def __init__(self, sensors: Sensors) -> None:
         self._sensors = sensors
@@ -36,7 +36,8 @@ class Turning:
         self.vehicle: list[tuple[str, str, str]] = []
 
     def choices(self, free: Sequence[SeenSignal]) -> Iterator[Choice | None]:
-        """Yield choices of wheels, steering, yaw rate and accelerations, in configuration order."""
+        """Yield choices of wheels, steering, yaw rate and accelerations, in the order of the
+        configuration."""
         reference = self.reference
         yaw_rate = self._yaw_rate(free)
         yield self._wheels()
@@ -52,14 +53,14 @@ class Turning:
         yield self._of_the_vehicle(find_scalar(LONGITUDINAL, change, free, "speed"))
 
     def _of_the_vehicle(self, choice: Choice | None) -> Choice | None:
-        """Mark an acceleration that is an axis of another accelerometer."""
+        """Add a doubt to an acceleration that is an axis of another accelerometer."""
         if choice is not None and choice.sources[""].signal in self._sensors.other_axes:
             choice.doubt = choice.doubt or OTHER_AXIS
         return choice
 
     def _yaw_rate(self, free: Sequence[SeenSignal]) -> Choice | None:
-        """Find the yaw rate by comparison with the gyroscope. Without a gyroscope, speed times yaw
-        rate must equal the lateral acceleration.
+        """Find the yaw rate by comparison with the gyroscope. Without a gyroscope, use that speed
+        times yaw rate equals the lateral acceleration.
         """
         reference = self.reference
         if reference.turn is None and reference.lateral is not None and reference.speed is not None:
@@ -101,7 +102,8 @@ class Turning:
         return choice
 
     def _note_steering(self, choice: Choice, free: Sequence[SeenSignal]) -> None:
-        """Note the steering ratio for the assumed wheelbase. Only their product is observable."""
+        """Note the steering ratio for the assumed wheelbase. Only the product of ratio and
+        wheelbase is observable."""
         source = choice.sources[""]
         candidate = candidate_of(source, free)
         factor = factor_of(source.unit or candidate.unit, "angle")
@@ -118,7 +120,7 @@ class Turning:
 
 
 def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array) -> Array:
-    """Return the found yaw rate, else the yaw rate from the accelerometer."""
+    """Return the yaw rate that was found, else `otherwise`, the yaw rate from the accelerometer."""
     if choice is not None and choice.is_sure:
         source = choice.sources[""]
         candidate = candidate_of(source, free)
@@ -129,7 +131,8 @@ def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array
 
 
 def _turning_metres(angle: Array, curvature: Array, speed: Array) -> float | None:
-    """Fit wheelbase times ratio: angle = L i curvature (1 + K v^2) + offset (least squares)."""
+    """Return wheelbase times steering ratio [m] by least squares: angle = L i curvature (1 + K v^2)
+    + offset. None if the fit is poor."""
     rows = np.isfinite(angle) & np.isfinite(curvature) & np.isfinite(speed)
     if np.count_nonzero(rows) < 200:
         return None

@@ -16,14 +16,18 @@ from imucald.discovery.proposal import Choice, Proposed, source_of
 from imucald.discovery.reference import KnownMotion, moving
 
 SAME_SPEED = 0.1
-"""Largest relative mean difference of the wheels of one vehicle. Different tyres cause 3 %."""
+"""Largest relative difference between the mean wheel speeds of one vehicle. Different tyres cause 3
+%."""
 SIDE_BY_SIDE = 0.98
-"""Smallest correlation of wheel speeds in a drive. They differ only in bends and by slip."""
+"""Smallest correlation between the wheel speeds in a drive. Wheel speeds of one vehicle differ only
+in bends and by slip."""
 MIN_BITS = 7
 HALF_SQUARE = (1.5, 12.0)
-"""Range of half the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces it."""
+"""Range of half of the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces the measured
+value."""
 MANY = 24
-"""Above this number of similar signals, only messages with exactly four of them are used."""
+"""Largest number of similar signals at which pairs from two messages are also tested. With more
+signals, only messages with exactly four similar signals are used."""
 
 IN_ORDER = "right wheels are faster in left turns"
 BY_TURNS = "left and right follow from the yaw rate"
@@ -68,9 +72,9 @@ def _roll_together(four: Sequence[SeenSignal]) -> bool:
 def find_wheels(
     four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, reference: KnownMotion
 ) -> tuple[Choice, float | None]:
-    """Find the wheel of each signal (by name, if names show it), and the track [m].
+    """Find the wheel of each signal, and the track [m]. Names decide if they show all wheels.
 
-    In a left turn the right wheels are faster. In any turn the front wheels are faster.
+    In a left turn, the right wheels are faster. In any turn, the front wheels are faster.
     """
     named = [wheel_by_name(c.signal.name) for c in four]
     by_name = sorted(n or "" for n in named) == sorted(WHEELS)
@@ -101,7 +105,8 @@ def _choice(
 def _turning(
     four: Sequence[SeenSignal], unit: UnitChoice, reference: KnownMotion
 ) -> tuple[list[Relation], _Ends]:
-    """Return each wheel's relation to curvature, and a comparison of two wheels in bends."""
+    """Return each wheel's relation to the curvature, and a function that compares two wheels in
+    bends."""
     if reference.turn is None:
         return [Relation()] * 4, lambda _a, _b: Relation()
     table = np.column_stack([c.smooth for c in four]) * unit.factor
@@ -121,7 +126,8 @@ def _turning(
 def _by_turns(
     four: Sequence[SeenSignal], sides: list[Relation], further: _Ends
 ) -> tuple[list[int], str, str]:
-    """Return the order front left, front right, rear left, rear right; the evidence; the doubt."""
+    """Return the indices of the wheels in the order front left, front right, rear left, rear right,
+    then the evidence, then the doubt."""
     right = [i for i in range(4) if sides[i].sign > 0]
     left = [i for i in range(4) if i not in right]
     if len(right) != 2 or not all(s.is_believed for s in sides):
@@ -144,9 +150,10 @@ def _by_turns(
 
 
 def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
-    """Return two wheels with the front wheel (faster in bends) first, and whether that is sure.
+    """Return two wheels with the front wheel (the faster wheel in bends) first, and whether this
+    order is sure.
 
-    The path of a front wheel is longer by half the square of wheelbase times curvature.
+    The path of a front wheel is longer by half of the square of wheelbase times curvature.
     """
     a, b = pair
     found = further(a, b)
@@ -158,8 +165,8 @@ def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
 def _track(
     four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, reference: KnownMotion
 ) -> Relation | None:
-    """Compare right minus left wheel speed with the yaw rate, divided by speed. The gain is the
-    track.
+    """Return the relation between the yaw rate and the speed difference of right and left wheels,
+    both divided by the speed. The gain of this relation is the track.
     """
     if reference.turn is None:
         return None

@@ -19,7 +19,7 @@ _MISSING = {
 
 
 def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
-    """Return the text of the file. databases: paths as written in the file."""
+    """Return the text of the configuration file. databases: paths as written in the file."""
     return "\n".join(_lines(proposal, databases)) + "\n"
 
 
@@ -95,7 +95,8 @@ def _choice(choice: Choice) -> Iterator[str]:
 
 
 def _alternative(quantity: str, other: Alternative) -> Iterator[str]:
-    """Yield one commented line of any length. The user can replace another line with it."""
+    """Yield one commented line of any length. The user can replace the chosen line with this
+    line."""
     flat: Any = {key: one.settings() for key, one in other.sources.items()}
     value = flat.get("", flat)
     yield f"  # unsure: {quantity}: {_flow(value)} # {other.text}"
@@ -126,14 +127,14 @@ def _flow(value: Any) -> str:
 
 
 def _of_key(key: str, value: Any) -> str:
-    """Format the value of a key; identifiers in hexadecimal."""
+    """Format the value of a key. Identifiers are written in hexadecimal."""
     if key == "source_address":
         return f"0x{value:02X}"
     return f"0x{value:03X}" if key == "id" and isinstance(value, int) else _flow(value)
 
 
 def _is_plain(text: str) -> bool:
-    """True if YAML reads a text unchanged without quotes, also in a list."""
+    """True if YAML reads a text without quotes unchanged, also in a list."""
     words = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "~"}
     if not text or text.lower() in words or text != text.strip():
         return False

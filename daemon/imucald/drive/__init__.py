@@ -1,1 +1,1 @@
-"""One model of the car: quantities, equations, and their evidence in windows."""
+"""Motion of the car while driving: quantities, equations, and their evidence in windows of time."""

@@ -1,10 +1,11 @@
 """Replace signals by their means between the times at which the speed is known.
 
-Some speed signals come seldom, in coarse steps, or not at all below some km/h. Such a speed is
-known only at some times, called knots: at its samples, when it passes the middle between two steps,
-and at rest. No interpolation tells the speed between two knots. All signals of the drive are
-therefore replaced by their means between the knots. The mean of dv/dt between two knots is known
-exactly. The equations between the signals are linear, so they also hold between the means.
+Some speed signals come seldom, have coarse steps, or are zero below some km/h. Such a speed is
+known only at some times, which are called knots. Knots are the times of the samples, the times at
+which the speed passes the middle between two steps, and the times at rest. Interpolation does not
+give the true speed between two knots. All signals of the drive are therefore replaced by their
+means between the knots. The mean of dv/dt between two knots is known exactly. The equations between
+the signals are linear, so they are also valid for the means.
 """
 
 from __future__ import annotations
@@ -16,25 +17,23 @@ from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import TICK_S
 
 GENTLE = 0.5
-"""Acceleration [m/s^2] with which a stopping or starting vehicle at least passes the speeds that
-its sender does not show. The limit is a quarter of the 2 m/s^2 that ISO 15622 allows a speed
-control.
+"""Smallest assumed acceleration [m/s^2] of a vehicle that stops or starts, while its speed is below
+the smallest speed of the sender. The value is a quarter of the 2 m/s^2 that ISO 15622 allows for an
+adaptive cruise control.
 """
 SURE = 0.99
-"""A speed below this fraction of the smallest shown speed is the mean of a tick that is partly
-standstill.
+"""Fraction of the smallest speed of the sender. A value below this fraction is the mean of a tick
+in which the vehicle partly stands.
 """
 DENSE = 1.5
-"""Knots that are at most this many ticks apart count as knots in every tick."""
+"""Distance in ticks up to which two knots count as knots in every tick."""
 
 
 def known_times(knots: Array, speed: Array, least: float) -> Array:
-    """Return the knots, out of knots (K,) [ticks], at which the speed is really known.
+    """Return the knots, from knots (K,) [ticks], at which the speed is really known.
 
-    speed: (N,). least: smallest speed that the sender shows.
-
-    Such a sender says zero while the vehicle still rolls, and zero again after the vehicle has
-    started.
+    speed: (N,) [m/s]. least: smallest speed that the sender shows [m/s]. The speed of such a sender
+    is zero while the vehicle still rolls, and remains zero after the vehicle has started.
     """
     margin = least / GENTLE / TICK_S
     silent = np.abs(speed) < max(ZERO_SPEED, SURE * least)
@@ -52,8 +51,8 @@ def known_times(knots: Array, speed: Array, least: float) -> Array:
 def means_between(x: Array, knots: Array, use: Flags) -> Array:
     """Replace columns x (N, w) of ticks by their means between knots (K,) [ticks].
 
-    Ticks (N,) that are not to be used end a mean on both sides. A tick between knots that are less
-    than two ticks apart stays unchanged.
+    use: (N,) flags of the usable ticks. No mean contains both usable and unusable ticks. A tick
+    between knots that are at most `DENSE` ticks apart stays unchanged.
     """
     n = len(x)
     breaks = np.flatnonzero(use[1:] != use[:-1]) + 1.0

@@ -4,15 +4,15 @@
     du_x/dt = r u_y - q + z_q           u: level part of the vertical
     du_y/dt = p - z_p - r u_x           (p, q, r): rate of the body; z: its zero
     f_y = v r + g u_y + noise           v = 0 at rest
-    u is a slope of the road, which is another one after some distance
+    u contains the slope of the road, which changes with distance
 
-A Kalman filter follows these states. The part of f_y that it does not predict contains all that the
-drive shows of other errors of the equations: cross-talk, a lever arm, a lag. The effect of each
-error on f_x, f_y and u goes through the same filter. The fit of the unpredicted part on these
-effects is therefore the fit of the errors together with the speed.
+A Kalman filter estimates these states. The part of f_y that the filter does not predict contains
+the evidence for other errors: cross-talk, a lever arm, a lag. The effect of each error on f_x, f_y
+and u goes through the same filter. A fit of these effects to the unpredicted part is therefore
+equal to a joint fit of the errors and the speed.
 
-Without a gyroscope, or in a hole of its samples, nothing carries u, which is then a first-order
-Markov process along the road.
+Without a gyroscope, or in a hole of its samples, u cannot be integrated. In this case, u is a
+first-order Markov process along the road.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ NAMES: Final = (
     "left", "xy", "yx", "tilted x", "tilted y", "dp/dt", "dr/dt", "r^2", "v", "d(v r)/dt",
     "dv/dt v r", "(v r)^2", "r^2 ahead", "dr/dt ahead", "gain",
 )  # fmt: skip
-"""Columns of `EliminatedSpeed`: the unpredicted part of f_y, and its answers to errors of size one.
+"""Columns of `EliminatedSpeed`: the unpredicted part of f_y ("left"), and its responses to errors
+of size one.
 
-xy: v r in f_x. yx: dv/dt in f_y. v: zero of the turn rate. tilted: cross-talk of the rate from z to
-x and to y. ahead: in f_x, the others in f_y.
+xy: error of v r in f_x. yx: error of dv/dt in f_y. v: zero error of the turn rate. tilted:
+cross-talk of the rate from z to x and to y. ahead: error in f_x; all other errors are in f_y.
 """
 _XY, _TILTED_X, _TILTED_Y, _ROUND_AHEAD, _ARM_AHEAD = (
     NAMES.index(n) for n in ("xy", "tilted x", "tilted y", "r^2 ahead", "dr/dt ahead")
@@ -45,34 +46,37 @@ _YX, _TURN, _LAG, _BOTH, _SQUARE, _GAIN = (
 )
 AHEAD, ACROSS = 0.01, 0.02
 """Noise of f_x and f_y in a tick [(m/s^2)^2]: the level of `joint.evidence.USUAL_NOISE` with its
-correlation in time (set on seeds 9000 to 9009).
+correlation in time (chosen with seeds 9000 to 9009).
 """
 RATE_ZERO, RATE_WALK = 0.001, 1e-9
-"""Deviation of the zero of the rate after it was measured at rest [rad/s], and the growth of its
-variance [(rad/s)^2/s], 0.02 deg/s in a minute (assumption: warming up).
+"""Deviation of the rate's zero error after its measurement at rest [rad/s], and growth of its
+variance [(rad/s)^2/s]: 0.02 deg/s in a minute (assumption: warming up).
 """
 FIRST_SPEED, FIRST_STD = 8.0, 10.0
-"""Speed of a vehicle of which nothing is known, and its deviation [m/s]."""
+"""Assumed speed of a vehicle without any evidence about its speed, and deviation of this speed
+[m/s]."""
 REST_STD = 0.1
-"""Deviation of the speed of a vehicle that is as still as a parked one [m/s]."""
+"""Deviation of the speed of a vehicle that is as still as a parked vehicle [m/s]."""
 EXPECTED = 2.0
-"""A smooth cruise feels as still. Stillness is rest only where the filter's speed is within so many
-of its deviations of zero.
+"""Largest speed of the filter, in deviations, at which stillness counts as rest. The sensor is also
+still during smooth cruising.
 """
 BLIND = 1.0
-"""Acceleration in a tick without a usable force [m/s^2]."""
+"""Assumed acceleration in a tick without a usable force [m/s^2]."""
 STANDING = 1.0
-"""Speed that is added to the size of the speed where distances are counted [m/s]."""
+"""Speed that is added to the absolute speed when distances are counted [m/s]."""
 PULLED = 8
-"""The slope's prior is applied once in this many ticks."""
+"""Interval in ticks at which the prior of the slope is applied."""
 V, U_X, U_Y = 0, 1, 2
 
 
 class EliminatedSpeed(NamedTuple):
-    """Result for N ticks. speed (N,) [m/s] and turn rate (N,) [rad/s] are before the tick's f_y.
+    """Result for N ticks. speed (N,) [m/s] and turn rate (N,) [rad/s] are the values before the
+    measurement of f_y in the tick.
 
-    accel: (N,) f_x - g u_x [m/s^2]. left: (N, 2) level force without the motion [m/s^2], with the
-    speed after the tick's f_y. columns: (N, len(NAMES)), each tick by its deviation.
+    accel: (N,) f_x - g u_x [m/s^2]. left: (N, 2) level force without the motion [m/s^2], computed
+    with the speed after the measurement of f_y. columns: (N, len(NAMES)) scaled by the deviation in
+    each tick.
     """
 
     speed: Array
@@ -83,30 +87,31 @@ class EliminatedSpeed(NamedTuple):
 
 
 class Steered(NamedTuple):
-    """Turn rates that were computed from a steering angle for a speed [m/s].
+    """Turn rates that were computed from a steering angle for a fixed speed [m/s].
 
-    understeer: over the wheelbase, K / L [s^2/m^2].
+    understeer: understeer gradient divided by the wheelbase, K / L [s^2/m^2].
     """
 
     speed: float
     understeer: float
 
     def share(self, v: float) -> float:
-        """Return the turn rate at another speed v [m/s], as a multiple."""
+        """Return the ratio of the turn rate at a speed v [m/s] to the turn rate at the fixed
+        speed."""
         s, k = self.speed, self.understeer
         return v / s * (1.0 + k * s * s) / (1.0 + k * v * v)
 
     def slope(self, v: float) -> float:
-        """Return the derivative of v r after v, as a multiple of r."""
+        """Return the derivative of v r with respect to v, as a multiple of r."""
         return 2.0 / (1.0 + self.understeer * v * v)
 
 
 class UnknownSpeed:
-    """Follows the speed from block to block.
+    """Estimates the speed from block to block.
 
-    is_carried: a gyroscope carries the vertical. steered: the turn rate is computed from a steering
-    angle; None: it is measured. slope, slope_m: deviation of a
-    road's slope, and metres after which it is independent. lean: mean slope across.
+    is_carried: the vertical is integrated with a gyroscope. steered: the turn rate is computed from
+    a steering angle; None: the turn rate is measured. slope: deviation of a road's slope. slope_m:
+    distance after which the slope is independent [m]. lean: mean slope across the road.
     """
 
     def __init__(
@@ -118,9 +123,10 @@ class UnknownSpeed:
         self.restart()
 
     def restart(self, is_same_drive: bool = False) -> None:
-        """Begin again, because time jumped or the axes are others.
+        """Begin again, because time jumped or the axes have changed.
 
-        is_same_drive: the last speed is more likely than any, though as uncertain.
+        is_same_drive: begin with the last speed as the most likely speed. The deviation of this
+        speed is the deviation of an unknown speed.
         """
         v = float(self._states[V, 0]) if is_same_drive else FIRST_SPEED
         zero = RATE_ZERO if self._is_carried else 0.0
@@ -139,9 +145,8 @@ class UnknownSpeed:
         return math.sqrt(max(float(self._covariance[V, V]), 0.0))
 
     def follow(self, force: Array, rate: Array, rest: Flags, use: Flags) -> EliminatedSpeed:
-        """Take N ticks. force, rate: (N, 3) in body axes. rest: (N,) as still as a parked vehicle.
-
-        use: (N,) usable ticks.
+        """Take N ticks. force, rate: (N, 3) in body axes. rest: (N,) flags: the vehicle is as still
+        as a parked vehicle. use: (N,) flags of the usable ticks.
         """
         n = len(force)
         given, seen = self._inputs(force, rate)
@@ -185,7 +190,7 @@ class UnknownSpeed:
         return r if self._steered is None else r * self._steered.share(v)
 
     def _predict(self, given: Array, v: float, r: float, is_usable: bool) -> None:
-        """Follow the states through a tick. given: (5, len(NAMES)) what drives them."""
+        """Predict the states over one tick. given: (5, len(NAMES)) inputs of the states."""
         F, Q = self._transition, self._growth
         if self._is_carried and is_usable:
             stays, grows, turned, wrong = 1.0, VERTICAL_WALK**2 * TICK_S, r * TICK_S, TICK_S
@@ -204,7 +209,7 @@ class UnknownSpeed:
             self._covariance[V, V] += (BLIND * TICK_S) ** 2
 
     def _pull_to_roads(self, v: float) -> None:
-        """Use the prior of the slopes that `PULLED` ticks passed."""
+        """Apply the prior of the slopes for the last `PULLED` ticks."""
         share = PULLED * (abs(v) + STANDING) * TICK_S / self._slope_m
         for i, mean in ((U_X, 0.0), (U_Y, self._lean)):
             off = -self._states[i]
@@ -213,21 +218,22 @@ class UnknownSpeed:
             self._take(Ph, off, float(Ph[i]) + self._slope**2 / share)
 
     def _come_to_rest(self) -> None:
-        """Use that the vehicle is still, if that can be rest."""
+        """Set the speed to zero because the vehicle is still, if the speed is close enough to
+        zero."""
         Ph = self._covariance[:, V].copy()
         variance = float(Ph[V]) + REST_STD**2
         if self._states[V, 0] ** 2 < EXPECTED**2 * variance:
             self._take(Ph, -self._states[V], variance)
 
     def _take(self, Ph: Array, off: Array, variance: float) -> None:
-        """Correct the states by a measurement with the innovations off (len(NAMES),)."""
+        """Correct the states with a measurement. off: (len(NAMES),) innovations."""
         K = Ph / variance
         self._states = self._states + np.outer(K, off)
         self._covariance = self._covariance - np.outer(K, Ph)
 
     def _inputs(self, force: Array, rate: Array) -> tuple[Array, Array]:
-        """Return what drives the states (N, 5, columns), and f_y with what errors add to it (N,
-        columns).
+        """Return the inputs of the states (N, 5, columns), and the measurements (N, columns): f_y
+        and the errors that add to f_y.
         """
         n, dt = len(force), TICK_S
         p, q, r = rate.T

@@ -1,10 +1,11 @@
-"""The vertical in body axes: carried by the gyroscope and pulled slowly to the accelerometer.
+"""The vertical in body axes: integrated with the gyroscope and corrected slowly towards the
+accelerometer.
 
-    du/dt = -w x u + (p - u) / T      p: (force less motion) over g
+    du/dt = -w x u + (p - u) / T      p: (force minus motion) / g
 
-In axes that do not turn with the body, this equation is a first-order low-pass filter. A whole
-block is therefore computed at once: a prefix product gives the turns, a cumulative sum gives the
-low-pass.
+In axes that do not rotate with the body, this equation is a first-order low-pass filter. A whole
+block is therefore computed at once: a prefix product gives the rotations, and a cumulative sum
+gives the low-pass filter.
 """
 
 from __future__ import annotations
@@ -16,23 +17,26 @@ from imucald.core.rotations import rows_from_quaternion
 from imucald.motion.ticks import TICK_S
 
 PULL_S = 30.0
-"""Time constant of the pull to the accelerometer [s]."""
+"""Time constant of the correction towards the accelerometer [s]."""
 FIRST_PULL_S = 3.0
-"""Time constant of the pull at the start [s].
+"""Time constant of the correction at the start [s].
 
-The pull grows with the time for which the vertical has been carried.
+The time constant grows with the time for which the vertical has been integrated.
 """
 VERTICAL_WALK = 1e-3
-"""Random walk of a vertical that a gyroscope carries [rad/sqrt(s)]: its noise and gain."""
+"""Random walk of a vertical that is integrated with a gyroscope [rad/sqrt(s)]. It contains the
+noise and the gain error of the gyroscope."""
 FIRST_TICKS = 64
-"""The first vertical is the mean of the pull over this many ticks."""
+"""Number of ticks for the first vertical, which is the mean of the accelerometer over these
+ticks."""
 
 
 class CarriedVertical:
-    """Carries the vertical from block to block.
+    """Integrates the vertical from block to block.
 
-    up: (3,) now; None before any block. Further state: its sensitivity to cross-talk of the
-    gyroscope (3, 3), and the time carried. pull_s: time constant of the pull [s].
+    up: (3,) present vertical; None before any block. pull_s: time constant of the correction
+    towards the accelerometer [s]. The object also keeps the sensitivity of the vertical to
+    cross-talk of the gyroscope (3, 3), and the time since the start.
     """
 
     def __init__(self, pull_s: float = PULL_S) -> None:
@@ -50,10 +54,10 @@ class CarriedVertical:
     def block(self, rate: Array, pull: Array, use: Flags) -> tuple[Array, Array]:
         """Return the vertical (N, 3) and its sensitivities (N, 3, 3) over one block.
 
-        rate: (N, 3) [rad/s]. pull: (N, 3) force less motion, over g. Both are in body axes. use:
-        (N,) ticks whose pull counts. The sensitivities are d u / d (e_xz, e_yz, g_z). e_xz and e_yz
-        are the cross-talk of the rate from z to x and to y. g_z is a rotation of the gyroscope
-        about z against the accelerometer [rad].
+        rate: (N, 3) [rad/s]. pull: (N, 3) (force minus motion) / g. `rate` and `pull` are in body
+        axes. use: (N,) flags of the ticks whose `pull` is used. The sensitivities are d u / d
+        (e_xz, e_yz, g_z). e_xz and e_yz are the cross-talk of the rate from z to x and to y. g_z is
+        a rotation of the gyroscope about z relative to the accelerometer [rad].
         """
         n = len(rate)
         if self.up is None:
@@ -78,7 +82,8 @@ class CarriedVertical:
 
 
 def _wrong_turns(rate: Array, up: Array) -> Array:
-    """Return the vertical turned by three errors of the rate (N, 3 sensitivities, 3 axes).
+    """Return the rate of change of the vertical by three errors of the rate (N, 3 sensitivities, 3
+    axes).
 
     The errors are (r, 0, 0), (0, r, 0) and (-q, p, 0).
     """
@@ -91,20 +96,20 @@ def _wrong_turns(rate: Array, up: Array) -> Array:
 
 
 def _small_turns(vectors: Array) -> Array:
-    """Quaternions (4, N) of rotation vectors (N, 3)."""
+    """Return the quaternions (4, N) of rotation vectors (N, 3)."""
     angle = np.sqrt((vectors * vectors).sum(axis=1))
     half = np.sinc(angle / (2.0 * np.pi)) / 2.0  # sin(a/2) / a
     return np.concatenate([np.cos(angle / 2.0)[None], half * vectors.T])
 
 
 def _matrices(quaternions: Array) -> Array:
-    """Rotation matrices (N, 3, 3) of quaternions (4, N)."""
+    """Return the rotation matrices (N, 3, 3) of quaternions (4, N)."""
     w, x, y, z = quaternions
     return np.stack(rows_from_quaternion((w, x, y, z)), axis=1).reshape(-1, 3, 3)
 
 
 def _prefix_products(turns: Array) -> Array:
-    """turns[k] * ... * turns[0] for every k (4, N), in log2(N) steps."""
+    """Return turns[k] * ... * turns[0] for every k (4, N), in log2(N) steps."""
     made = turns.copy()
     step = 1
     while step < made.shape[1]:

@@ -1,10 +1,10 @@
-"""Windows of driving as Gram matrices by frequency band.
+"""Windows of driving, as Gram matrices by frequency band.
 
-A window consists of four blocks of even signals. The columns of a window are the force less
-gravity, and the quantities from which the equations of the drive predict that force. All columns
-are in body axes. Each column goes through the same taper, the same removal of mean and slope, and a
-Fourier transform. The products of all columns are kept for each frequency band. Every fit works on
-these products alone.
+A window consists of four blocks of signals on an even time grid. The columns of a window are the
+force minus gravity, and the quantities from which the equations of the drive predict this force.
+All columns are in body axes. Each column is multiplied by the same taper, its mean and slope are
+removed, and it is Fourier-transformed. The products of all columns are stored for each frequency
+band. Every fit uses these products only.
 
     y     = f - g u + (0, 0, v q)           u: the carried vertical
     y_i   = h_i1 dv/dt + h_i2 v r + nuisances
@@ -28,10 +28,11 @@ Complex = NDArray[np.complex128]
 WINDOW = 256
 """Ticks of a window: 25.6 s."""
 BLOCK = 64
-"""A window begins every 64 ticks, so each tick counts several times in a band:"""
+"""Ticks between the starts of two windows. Windows overlap, so each tick counts several times in a
+band: `OVERLAP` times."""
 OVERLAP = 1.925
 EDGES: Final = (1, 2, 3, 4, 6, 9, 13, 19, 26)
-"""Bands in bins of 0.039 Hz: 0.04 to 1 Hz."""
+"""Edges of the frequency bands in bins of 0.039 Hz: 0.04 to 1 Hz."""
 BANDS = len(EDGES) - 1
 BINS = np.arange(EDGES[0], EDGES[-1])
 BAND = np.repeat(np.arange(BANDS), np.diff(EDGES))
@@ -55,7 +56,7 @@ _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _RAMP = np.linspace(-1.0, 1.0, WINDOW)
 _PHASE = np.outer(BINS, np.arange(WINDOW)) * (2.0 * np.pi / WINDOW)
 _SUMS = np.concatenate([np.ones((1, WINDOW)), _RAMP[None], np.cos(_PHASE), -np.sin(_PHASE)])
-"""Linear map of a window: its sum, its sum times the ramp, and the Fourier bins that are used."""
+"""Linear map of a window to its sum, its sum times the ramp, and the Fourier bins that are used."""
 
 
 def columns(
@@ -63,8 +64,8 @@ def columns(
 ) -> Array:
     """Return the columns (N, len(NAMES)) of the ticks of whole blocks, in body axes.
 
-    force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s]. speed, accel: (N,) [m/s], [m/s^2]. up, tilts: as
-    `CarriedVertical.block` returns them.
+    force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s]. speed: (N,) [m/s]. accel: (N,) [m/s^2]. up, tilts:
+    results of `CarriedVertical.block`.
     """
     p, q, r = rate.T
     lateral = speed * r
@@ -94,8 +95,8 @@ def _slope(x: Array) -> Array:
 def spectra(window: Array, use: Flags) -> Complex:
     """Return the spectra (..., bins, columns) of windows (..., WINDOW, columns).
 
-    Ticks that are not to be used have weight zero. All columns go through the same linear map, so
-    the equations between them also hold between the spectra.
+    Unusable ticks have weight zero. The same linear map is applied to all columns, so the equations
+    between the columns are also valid for the spectra.
     """
     weight = _TAPER * use
     ramp = np.broadcast_to(_RAMP[:, None], (*use.shape, 1))

@@ -1,1 +1,1 @@
-"""The model file: every parameter of vehicle, road and sensors."""
+"""The model file: all parameters of vehicle, road and sensors."""

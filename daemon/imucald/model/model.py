@@ -1,7 +1,7 @@
-"""The model file: every parameter of a simulated drive; each effect can be on or off.
+"""The model file: all parameters of a simulated drive. Each effect can be on or off.
 
-Only this module reads, validates, changes and writes it. `written` reads the same file for use
-while driving, without defaults for missing keys.
+Only this module reads, validates, changes and writes the complete file. `written` reads the same
+file for use while driving, without defaults for missing keys.
 """
 
 from __future__ import annotations
@@ -37,14 +37,16 @@ from imucald.model.sensors import (
 from imucald.model.vehicle import Chassis, DriveRoute, Mount, Road, Suspension
 
 WHOLE = "model file"
-"""Name of the model file in texts without a key."""
+"""Name of the model file in error texts without a key."""
 
 
 class VehicleModel(Section, frozen=True):
-    """All parameters of a drive except its seed and length. Immutable: see `with_changes`."""
+    """All parameters of a drive except its seed and duration. The object is immutable, see
+    `with_changes`."""
 
     grid_hz: Annotated[float, Meta(ge=50.0, le=2000.0)] = 200.0
-    """Rate of the physics; it must not be below the inertial sensor's rate."""
+    """Rate of the simulated physics [Hz]. This rate must be at least the rate of the inertial
+    sensor."""
     route: DriveRoute = DriveRoute()
     chassis: Chassis = Chassis()
     suspension: Suspension = Suspension()
@@ -66,10 +68,11 @@ class VehicleModel(Section, frozen=True):
     bus: BusLoad = BusLoad()
     known_to: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     """Half widths within which numbers of this file are correct, by the keys of `imucald diagnose`,
-    in their SI units. For other numbers the tolerances of its catalogue apply."""
+    in SI units. For all other numbers, the tolerances of the catalogue of `imucald diagnose` apply.
+    """
     leaves: dict[str, Leaves] = msgspec.field(default_factory=dict)
-    """By equation of `imucald diagnose`: residuals of the drives that this file was made from, and
-    statistics of their signals (`imucald.model.leaves`)."""
+    """Residuals of the drives from which this file was made, by equation of `imucald diagnose`, and
+    statistics of the signals of these drives (`imucald.model.leaves`)."""
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)
@@ -90,7 +93,7 @@ class VehicleModel(Section, frozen=True):
         return yaml.safe_dump(self.dump(), sort_keys=False)
 
     def with_changes(self, changes: Mapping[str, Any]) -> VehicleModel:
-        """Return a copy with dotted keys replaced, as ``{"mount.yaw_deg": 30.0}``.
+        """Return a copy with other values of dotted keys, such as ``{"mount.yaw_deg": 30.0}``.
 
         Raises ConfigError for an unknown key or a value out of its range.
         """
@@ -107,7 +110,8 @@ class VehicleModel(Section, frozen=True):
 
 
 def _near(key: str, data: Mapping[str, Any]) -> str:
-    """Text with names similar to an unknown one, and the place of the full list."""
+    """Return a text with names similar to an unknown key, and with the command that lists all
+    keys."""
     import difflib  # noqa: PLC0415 - only for a mistake
 
     near = difflib.get_close_matches(key, list(_dotted(data)), n=3)
@@ -124,15 +128,16 @@ def _dotted(data: Mapping[str, Any], above: str = "") -> Iterator[str]:
 
 
 def model_from_mapping(data: Mapping[str, Any], name: str) -> VehicleModel:
-    """Return the model that a mapping (parsed YAML) describes; ConfigError names each mistake.
+    """Return the model that a mapping (parsed YAML) describes. Raises ConfigError with all
+    mistakes.
 
-    name: the name of the model in texts.
+    name: name of the model in texts.
     """
     return typed(plain(data), VehicleModel, Document(name, {}, WHOLE))
 
 
 def load_model(path: Path | str) -> VehicleModel:
-    """Read a model file; missing keys have their defaults.
+    """Read a model file. Missing keys have their default values.
 
     Raises ConfigError with one line for each mistake: file, line, key, reason, remedy.
     """

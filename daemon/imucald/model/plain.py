@@ -7,8 +7,8 @@ from typing import Any
 
 
 def plain(data: Any) -> Any:
-    """Return data with mappings converted to dict, tuples and arrays to list, and numpy's numbers
-    to Python's."""
+    """Return data with mappings converted to dict, tuples and arrays to list, and numpy numbers to
+    Python numbers."""
     if isinstance(data, Mapping):
         return {key: plain(value) for key, value in data.items()}
     if isinstance(data, list | tuple):

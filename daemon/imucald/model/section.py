@@ -15,4 +15,4 @@ ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True):
-    """Base of all sections; a misspelt key is an error."""
+    """Base class of all sections. A misspelt key is an error."""

@@ -1,7 +1,7 @@
 """Parameters of the vehicle, the road and the driver (sections of the model file).
 
-SI units unless the name says otherwise. Defaults are those of a compact passenger car on ordinary
-roads; sources are given for figures that are not obvious.
+Values are in SI units unless the name of a key states another unit. The defaults are those of a
+compact passenger car on ordinary roads. Sources are given for values that are not obvious.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imucald.model.section import (
 RouteKind = Literal["mixed", "city", "motorway", "straight_only", "circles", "parked"]
 DrivingSide = Literal["right", "left"]
 RoadLength = Annotated[float, Meta(ge=15.0)]
-"""Shorter waves count as roughness."""
+"""Correlation length of a road. Shorter waves belong to the roughness."""
 
 
 MAX_SPEED_MPS = 36.0
@@ -31,13 +31,13 @@ MAX_SPEED_MPS = 36.0
 
 
 STEERING_GEAR_S = 0.03
-"""Delay of the road wheels behind the steering wheel: a well damped steering gear with 6 Hz on its
+"""Delay between steering wheel and road wheels [s]: a well-damped steering gear with 6 Hz on its
 torsion bar. Cars differ by 0.02 s."""
 
 
 class Chassis(Section, frozen=True):
-    """Single-track vehicle. The front stiffness follows from the understeer gradient and the rear
-    stiffness."""
+    """Single-track vehicle. The front stiffness is computed from the understeer gradient and the
+    rear stiffness."""
 
     mass_kg: Positive = 1450.0
     yaw_inertia_kgm2: Positive = 2300.0
@@ -45,17 +45,17 @@ class Chassis(Section, frozen=True):
     cg_to_front_m: Positive = 1.20
     track_m: Positive = default_vehicle.TRACK
     steering_ratio: Positive = default_vehicle.STEERING_RATIO
-    """Steering-wheel angle over road-wheel angle."""
+    """Ratio of steering-wheel angle to road-wheel angle."""
     rear_cornering_stiffness_npr: Positive = 110e3
-    """Lateral force over slip angle of the rear axle [N/rad]."""
+    """Ratio of lateral force to slip angle at the rear axle [N/rad]."""
     understeer_gradient: float = default_vehicle.UNDERSTEER
     """K in delta = L/R + K * a_y [rad/(m/s^2)]."""
     friction: Annotated[float, Meta(ge=0.15)] = 0.95
-    """Tyre force saturates at friction times axle load."""
+    """Friction of the tyres. The tyre force saturates at friction times axle load."""
     tyre_saturation: bool = True
-    """False: tyres stay linear."""
+    """False: the tyres stay linear."""
     single_track: bool = True
-    """False: the vehicle follows the path exactly (no sideslip, no lag)."""
+    """False: the vehicle follows the path exactly, without sideslip and without lag."""
 
     @property
     def cg_to_rear_m(self) -> float:
@@ -64,7 +64,7 @@ class Chassis(Section, frozen=True):
 
     @property
     def front_cornering_stiffness_npr(self) -> float:
-        """Front axle stiffness [N/rad] from K = m/L (l_r/C_f - l_f/C_r)."""
+        """Stiffness of the front axle [N/rad], from K = m/L (l_r/C_f - l_f/C_r)."""
         m, L = self.mass_kg, self.wheelbase_m
         rear = self.cg_to_front_m / self.rear_cornering_stiffness_npr
         return self.cg_to_rear_m / (self.understeer_gradient * L / m + rear)
@@ -81,10 +81,10 @@ class Chassis(Section, frozen=True):
 
 
 class Suspension(Section, frozen=True):
-    """Body on its springs: roll and pitch as second-order systems, and a quarter-car model.
+    """The body on its springs: roll and pitch as second-order systems, and a quarter-car model.
 
-    The body turns about a centre that moves with the road frame; the lever arm of the sensor starts
-    at that centre.
+    The body rotates about a centre that moves with the road frame. The lever arm of the sensor
+    begins at this centre.
     """
 
     squat_dive: bool = True
@@ -103,7 +103,8 @@ class Suspension(Section, frozen=True):
     heave_damping: Positive = 0.30
     wheel_hop_hz: Positive = 11.0
     unsprung_ratio: Positive = 0.12
-    """Unsprung over sprung mass; with `wheel_hop_hz` it gives the tyre's stiffness."""
+    """Ratio of unsprung to sprung mass. Together with `wheel_hop_hz`, it determines the stiffness
+    of the tyre."""
 
 
 class Road(Section, frozen=True):
@@ -115,7 +116,8 @@ class Road(Section, frozen=True):
     grade_mean: float = 0.0
     """Mean slope (tangent), positive uphill."""
     grade_length_m: RoadLength = 110.0
-    """Correlation length of the slope (second-order Gauss-Markov); it is longer on fast roads."""
+    """Correlation length of the slope (second-order Gauss-Markov process). Slopes are longer on
+    fast roads."""
     bank: bool = True
     crown_mean: float = 0.012
     """Mean cross fall towards the kerb (tangent)."""
@@ -123,7 +125,8 @@ class Road(Section, frozen=True):
     """rms of the cross fall about its mean."""
     bank_length_m: RoadLength = 60.0
     superelevation: Fraction = 0.3
-    """Share of the centripetal acceleration that banked curves compensate, outside cities."""
+    """Share of the centripetal acceleration that superelevated curves compensate. Cities have no
+    superelevated curves."""
     superelevation_max: NonNegative = 0.05
     roughness: bool = True
     roughness_n0: NonNegative = 48e-6
@@ -136,25 +139,25 @@ class DriveRoute(Section, frozen=True):
     kind: RouteKind = "mixed"
     driving_side: DrivingSide = "right"
     standing_first_s: NonNegative = 20.0
-    """Standing time before the first motion; with 0 the vehicle already moves at the start."""
+    """Standing time before the first motion. With 0, the vehicle already moves at the start."""
     standing_last_s: NonNegative = 10.0
     """Standing time at the end, if the drive is long enough."""
     launch_mps2: tuple[Positive, Positive] = (0.8, 2.5)
     """Range of accelerations from rest."""
     braking_mps2: tuple[Positive, Positive] = (0.8, 3.3)
     lateral_mps2: tuple[Positive, Positive] = (1.2, 3.6)
-    """Range of lateral accelerations that the driver accepts in bends."""
+    """Range of the lateral accelerations that the driver accepts in bends."""
     stop_mean_s: Positive = 18.0
-    """Mean time of a stop (log-normal spread)."""
+    """Mean duration of a stop (log-normal spread)."""
     speed_factor: Positive = 1.0
-    """All target speeds are multiplied by it."""
+    """Factor on all target speeds."""
     speed_wander: NonNegative = 0.05
-    """rms of the relative wander of the driver's speed."""
+    """rms of the relative variation of the driver's speed."""
     steering_wander_mps2: NonNegative = 0.10
-    """rms lateral acceleration of the driver's small steering corrections."""
+    """rms of the lateral acceleration from the driver's small steering corrections."""
     gear_shifts: bool = True
     reversing: bool = True
-    """True: sometimes a manoeuvre in reverse gear."""
+    """True: some drives contain manoeuvres in reverse gear."""
     circle_radius_m: Positive = 14.0
     """Radius of the `circles` route."""
 
@@ -166,7 +169,7 @@ class DriveRoute(Section, frozen=True):
 
 
 class ScheduledShift(Section, frozen=True):
-    """The sensor is turned at a time; the angles are about the vehicle's axes."""
+    """A rotation of the sensor at a time. The angles are about the vehicle's axes."""
 
     t_s: NonNegative
     roll_deg: float = 0.0
@@ -182,7 +185,7 @@ class Mount(Section, frozen=True):
     yaw_deg: float = 0.0
     lever_arm: bool = True
     lever_arm_m: Vector3 = ZERO
-    """Vector from the body's centre of rotation (below the centre of gravity) to the sensor,
+    """Vector from the body's centre of rotation (below the centre of gravity) to the sensor, in
     vehicle axes."""
     shifts: tuple[ScheduledShift, ...] = ()
 

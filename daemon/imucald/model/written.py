@@ -1,8 +1,8 @@
-"""A model file as it was written: only its own keys count, without defaults.
+"""A model file with only the keys that are written in it. There are no defaults.
 
-A simulated drive needs every parameter and uses defaults for missing keys. In a real vehicle this
-is not allowed: a missing number is unknown. Therefore each key is read separately; the schema gives
-its type, its range and the text of a mistake.
+A simulated drive needs every parameter and uses defaults for missing keys. In a real vehicle, a
+missing number is unknown, so a default must not be used. Each key is therefore read separately. The
+schema contains its type, its range and the text of a mistake.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from imucald.model.section import Section
 class WrittenModel:
     """The content of a model file, and the mistakes in the keys read so far.
 
-    name: of the file, for texts. unknown: keys that the schema does not have (they may be those of
-    a later version), in the file's order.
+    name: name of the file in texts. unknown: keys that are not in the schema, in the order of the
+    file. Unknown keys may be keys of a later version.
     """
 
     def __init__(self, data: Any, marks: Marks, name: str) -> None:
@@ -51,7 +51,7 @@ class WrittenModel:
 
     @property
     def sections(self) -> list[str]:
-        """Sections that the file has, in its order."""
+        """Sections of the file, in the order of the file."""
         return list(self._data)
 
     def has(self, section: str, *keys: str) -> bool:
@@ -60,15 +60,15 @@ class WrittenModel:
         return found is not None and (not keys or any(key in found for key in keys))
 
     def is_set(self, section: str, key: str) -> bool:
-        """True if the key has a value that is not zero, empty or off. The value is not
+        """True if the key has a value that is not zero, not empty and not false. The value is not
         validated."""
         return bool(self._data.get(section, {}).get(key))
 
     def value(self, section: str, key: str, absent: Any = None) -> Any:
-        """Return a key's value with the schema's type; `absent` if there is none.
+        """Return the value of a key with the type of the schema; `absent` if there is no value.
 
         A wrong value is recorded as a mistake (see `check`) and counts as absent. A key that is not
-        in the section's schema is absent too.
+        in the schema of the section also counts as absent.
         """
         types = _types(_types(VehicleModel)[section])
         if key not in types or key not in self._data.get(section, {}):
@@ -86,7 +86,8 @@ class WrittenModel:
         self._mistakes[f"{self._document.located(place)}: {reason}"] = None
 
     def check(self) -> None:
-        """Raise ConfigError with a line for each mistake so far, if there is any."""
+        """Raise ConfigError with one line for each recorded mistake. Without a mistake, do
+        nothing."""
         if self._mistakes:
             raise ConfigError("\n".join(self._mistakes))
 
@@ -101,5 +102,5 @@ def read_written(model: Path | Mapping[str, Any], name: str) -> WrittenModel:
 
 @cache
 def _types(kind: type[Section]) -> dict[str, Any]:
-    """Type of each key of a section, including constraints."""
+    """Return the type of each key of a section, including the constraints."""
     return get_type_hints(kind, include_extras=True)

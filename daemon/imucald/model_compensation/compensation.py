@@ -1,4 +1,4 @@
-"""The terms of a model file, ready to be removed from signals while driving."""
+"""The terms of a model file, ready for removal from signals while driving."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 
 KNOWN_DELAY_STD = 0.1
-"""Assumed standard deviation of a model's delays [s]. A delay may be a default that nobody checked;
-then the estimator finds the remaining delay. If there is none, such a wide prior does no harm."""
+"""Assumed standard deviation of the delays in a model file [s]. A delay may be a default that
+nobody checked. The estimator then finds the remaining delay. If there is no remaining delay, such a
+wide prior has no effect."""
 STATED_DELAY_STD = 0.03
 """Assumed standard deviation of a delay that the configuration states [s]."""
 
 
 @dataclass(frozen=True)
 class ModelCompensation:
-    """The terms of one model file. Immutable; the objects made from it hold the changing state.
+    """The terms of one model file. The object is immutable. Objects made from it contain the
+    changing state.
 
-    name: of the file. notes: one line for each part of it that is not used. suspension: whether the
-    body's roll and pitch on its springs are removed from the corrected signals. speed_delay_std:
-    standard deviation of the model's speed delay [s].
+    name: name of the model file. notes: one line for each part of the file that is not used.
+    suspension: True if the body's roll and pitch on its springs are removed from the corrected
+    signals. speed_delay_std: standard deviation of the model's speed delay [s].
     """
 
     terms: Terms
@@ -49,8 +51,8 @@ class ModelCompensation:
     # reports ---------------------------------------------------------------------------------
 
     def notes_for(self, channels: Collection[str]) -> list[str]:
-        """`notes`, and a line for each term that cannot be used without a missing signal. channels:
-        the available ones."""
+        """Return `notes`, and one line for each term that cannot be used because a signal is
+        missing. channels: available channels."""
         found = list(self.notes)
         terms = self.terms
         for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro)):
@@ -69,11 +71,11 @@ class ModelCompensation:
         return found
 
     def compensated(self, channels: Collection[str]) -> list[str]:
-        """Names of the terms that are removed. channels: the available ones."""
+        """Return the names of the terms that are removed. channels: available channels."""
         return [name for name, channel in self._active() if channel in channels]
 
     def _active(self) -> Iterator[tuple[str, str]]:
-        """Each active term, and the channel from which it is removed."""
+        """Yield each active term, and the channel from which it is removed."""
         terms, neutral = self.terms, TriadTerms()
         for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro), ("mag", terms.mag)):
             if any(triad.bias):
@@ -101,8 +103,8 @@ class ModelCompensation:
     # what is made of it ----------------------------------------------------------------------
 
     def samples(self, samples: Samples) -> Samples:
-        """Columns of samples with the terms removed that need no mount; refused samples are left
-        out."""
+        """Return columns of samples without the terms that can be removed without the mount.
+        Refused samples are left out."""
         order = {channel: series.t for channel, series in samples.items()}
         taken = self.sensor_correction().columns(samples, order)
         out = dict(samples)
@@ -114,9 +116,9 @@ class ModelCompensation:
     def preprocessing_chain(
         self, channels: Collection[str], derived_speed: bool, parallel_rates: Collection[str] = ()
     ) -> PreprocessingChain:
-        """The preprocessing of one engine.
+        """Return the preprocessing of one engine.
 
-        channels: those that its router can deliver. parallel_rates: the parallel gyroscopes.
+        channels: channels that the router can deliver. parallel_rates: the parallel gyroscopes.
         """
         vehicle = self.vehicle_correction(channels, ("gyro", *parallel_rates))
         return PreprocessingChain(
@@ -130,8 +132,8 @@ class ModelCompensation:
         )
 
     def with_speed_delay(self, delay: float | None) -> ModelCompensation:
-        """A copy with the delay of speed against the accelerometer that the configuration states
-        [s]."""
+        """Return a copy with a stated delay of the speed against the accelerometer [s]. The
+        configuration states this delay."""
         if delay is None:
             return self
         accel = self.terms.latency.get("accel", 0.0)
@@ -140,20 +142,21 @@ class ModelCompensation:
         return replace(self, terms=terms, speed_delay_std=STATED_DELAY_STD)
 
     def sensor_correction(self, derived_speed: bool = False) -> SensorCorrection:
-        """Correction of the terms that need no mount. derived_speed: the speed comes from the
-        wheels."""
+        """Return the correction of the terms that can be removed without the mount. derived_speed:
+        the speed is computed from the wheel speeds."""
         return SensorCorrection(self.terms, derived_speed)
 
     def vehicle_correction(
         self, channels: Collection[str], rates: Collection[str] = ("gyro",)
     ) -> VehicleCorrection:
-        """Correction of the terms that need the mount. rates: the channels that are angular
+        """Return the correction of the terms that need the mount. rates: channels that are angular
         rates."""
         terms = self.terms if "gyro" in channels else replace(self.terms, lever_arm=ZERO)
         return VehicleCorrection(terms, self.suspension, rates)
 
     def tick_preprocessing(self) -> TickPreprocessing | None:
-        """Preprocessing of the ticks for the estimator; None if there is none."""
+        """Return the preprocessing of the ticks for the estimator; None if no preprocessing is
+        needed."""
         shifts, leans = self.shifts(), not self.terms.suspension.neutral
         if not shifts and not leans:
             return None
@@ -163,7 +166,8 @@ class ModelCompensation:
         )
 
     def shifts(self) -> dict[str, float]:
-        """Time by which each channel is held back from the estimator [s]; empty if none is."""
+        """Return the time by which each channel is delayed for the estimator [s]; empty if no
+        channel is delayed."""
         return alignment_shifts(self.terms.latency)
 
     # settings of the estimators ---------------------------------------------------------------
@@ -171,7 +175,8 @@ class ModelCompensation:
     def joint_settings(
         self, settings: EstimatorSettings, stated: Collection[str] = ()
     ) -> EstimatorSettings:
-        """Settings with the model's values. stated: keys of `vehicle` that the user gave."""
+        """Return the settings of the joint estimator with the values of the model file. stated:
+        keys of `vehicle` that the user gave."""
         terms, chassis = self.terms, self.terms.chassis
         delays = dict(settings.delays)
         for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
@@ -192,7 +197,8 @@ class ModelCompensation:
     def published_settings(
         self, settings: PublishedSettings, stated: Collection[str] = ()
     ) -> PublishedSettings:
-        """Return the settings of method A with the model's values."""
+        """Return the settings of method A with the values of the model file. stated: keys of
+        `vehicle` that the user gave."""
         calibration = settings.calibration
         if "speed" in self.terms.latency:
             calibration = structs.replace(calibration, speed_delay=0.0)
@@ -204,7 +210,8 @@ class ModelCompensation:
         )
 
     def _vehicle(self, vehicle: VehicleSettings, stated: Collection[str]) -> VehicleSettings:
-        """Vehicle settings with the model's dimensions if the user gave none."""
+        """Return the vehicle settings with the dimensions of the model file. A dimension that the
+        user gave is kept."""
         known = {
             key: value
             for key in ("wheelbase", "track", "steering_ratio")
@@ -217,7 +224,7 @@ class ModelCompensation:
 
     @property
     def estimate_key(self) -> str:
-        """Key for everything that affects an estimate of the mount: equal keys give equal
+        """Key of all values that affect an estimate of the mount. Equal keys give equal
         estimates."""
         return hashlib.sha256(saved_text(self.terms).encode()).hexdigest()
 
@@ -225,7 +232,7 @@ class ModelCompensation:
 def compensation_from_model(
     model: Path | str | Mapping[str, Any], compensate_suspension: bool = True
 ) -> ModelCompensation:
-    """Read a model file, or a mapping of its content. Raises ConfigError with the place of a
+    """Read a model file, or a mapping with its content. Raises ConfigError with the place of a
     mistake."""
     source = model if isinstance(model, Mapping) else Path(model)
     name = "model" if isinstance(model, Mapping) else str(model)

@@ -1,9 +1,9 @@
-"""Keep repeated samples of a stuck sensor equal after compensation, so that it is still recognised
-as stuck.
+"""Keep repeated samples of a stuck sensor equal after compensation, so that the sensor is still
+recognised as stuck.
 
-Terms that change from sample to sample (bias by temperature, effect of force on a gyroscope) would
-make a stuck sensor seem to change. Therefore a sample that repeats the one before it gets the same
-result.
+Terms that change from sample to sample (bias over temperature, effect of force on a gyroscope)
+would make a stuck sensor seem to change. A sample that repeats the sample before it therefore gets
+the same result.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from imucald.model_compensation.sample_chain import Stage, through
 
 
 class HeldRepeats:
-    """Remembers the last raw sample of one sensor and its result.
+    """Stores the last raw sample of one sensor and its result.
 
-    Single samples and columns give the same. tolerance: largest difference between means of equal
-    samples.
+    Single samples and columns give the same results. tolerance: largest difference between means of
+    equal samples.
     """
 
     def __init__(self, tolerance: float = 0.0) -> None:
@@ -30,11 +30,11 @@ class HeldRepeats:
         self._result: Vector3 | None = None
 
     def restart(self) -> None:
-        """Restart after a time jump: the next sample repeats nothing."""
+        """Restart after a jump of time: the next sample is not a repeat."""
         self._raw = None
 
     def known(self, raw: Sequence[float]) -> bool:
-        """True if a raw sample (3,) repeats the last one, whose result is `result`."""
+        """True if a raw sample (3,) repeats the last raw sample. `result` is then its result."""
         if self._raw is None:
             return False
         if not self._tolerance:
@@ -43,17 +43,17 @@ class HeldRepeats:
 
     @property
     def result(self) -> Vector3 | None:
-        """Result of the last sample; None if it was refused."""
+        """Result of the last sample; None if the last sample was refused."""
         return self._result
 
     def keep(self, raw: Sequence[float], result: Vector3 | None) -> Vector3 | None:
-        """Remember a raw sample and its result, which is returned."""
+        """Store a raw sample and its result, and return the result."""
         self._raw, self._result = tuple(raw), result
         return result
 
     def columns(self, raw: Array, values: Array, refused: Flags) -> tuple[Array, Flags]:
-        """Results (N, 3) and refusals (N,) of raw samples (N, 3); repeats get the earlier
-        results."""
+        """Return results (N, 3) and refusals (N,) of raw samples (N, 3). A repeated sample gets the
+        earlier result."""
         n = len(raw)
         if n == 0:
             return values, refused
@@ -72,15 +72,15 @@ class HeldRepeats:
 
 
 class HeldStages:
-    """A stage that runs the stages of a three-axis sensor and gives a repeated sample the same
-    result."""
+    """Runs the processing stages of a three-axis sensor. A repeated sample gets the same result as
+    the sample before it."""
 
     def __init__(self, repeats: HeldRepeats, stages: Sequence[Stage]) -> None:
         self._repeats, self._stages = repeats, tuple(stages)
 
     def __call__(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        """Process one raw sample at t [s]; None if it, or the sample that it repeats, is
-        refused."""
+        """Process one raw sample at t [s]. None if the sample is refused, or repeats a refused
+        sample."""
         repeats = self._repeats
         if repeats.known(v):
             return repeats.result

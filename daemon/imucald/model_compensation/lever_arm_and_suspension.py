@@ -1,9 +1,9 @@
-"""Remove the terms that need the mount from corrected samples, which gives samples in road axes.
+"""Remove the terms that need the mount from corrected samples. The result is samples in road axes.
 
-Lever arm: the force at the body's centre of rotation is that at the sensor minus dw/dt x l + w x (w
-x l). Only the vertical component of dw/dt is used (see `yaw_acceleration`). Suspension: the
-corrected samples are rotated from body axes to road axes, and the body's angular rate against the
-road is subtracted from the rates (see `suspension`).
+Lever arm: the force at the body's centre of rotation is the force at the sensor minus dw/dt x l + w
+x (w x l). Only the vertical component of dw/dt is used (see `yaw_acceleration`). Suspension: the
+corrected samples are rotated from body axes to road axes, and the body's angular rate relative to
+the road is subtracted from the rates (see `suspension`).
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from imucald.model_compensation.yaw_acceleration import YawAcceleration
 Number = TypeVar("Number", float, Array)
 
 STALE_S = 0.25
-"""An angular rate older than this [s] is not used for the present force."""
+"""Age of an angular rate above which it is not used for the present force [s]."""
 Turning = tuple[float, Vector3, float]
-"""Time [s], angular rate [rad/s], yaw acceleration [rad/s^2]; vehicle axes."""
+"""Time [s], angular rate [rad/s] and yaw acceleration [rad/s^2], in vehicle axes."""
 NO_TURNING: Turning = (-math.inf, (0.0, 0.0, 0.0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Corrected samples of one channel in columns.
+    """Corrected samples of one channel, as columns.
 
-    order: (N,) order of arrival, never decreasing; equal numbers came in one frame. t: (N,) [s].
-    values: (N, 3) vehicle axes; NaN if the mount is not known.
+    order: (N,) order of arrival, ascending; samples with equal numbers came in one frame. t: (N,)
+    [s]. values: (N, 3) in vehicle axes; NaN if the mount is not known.
     """
 
     order: NDArray[np.int64] | Array
@@ -52,8 +52,8 @@ class Corrected:
 class VehicleCorrection:
     """Removes the effects of lever arm and suspension from corrected samples.
 
-    In one frame the gyroscope is processed first and the accelerometer last. rates: the channels
-    that are angular rates.
+    In one frame, the gyroscope is processed first and the accelerometer last. rates: channels that
+    are angular rates.
     """
 
     def __init__(
@@ -69,11 +69,11 @@ class VehicleCorrection:
 
     @property
     def neutral(self) -> bool:
-        """True if it changes nothing."""
+        """True if the correction changes no sample."""
         return not (self._levers or self._leans)
 
     def gap(self) -> None:
-        """Restart the filters after a time jump."""
+        """Restart the filters after a jump of time."""
         self._yaw.restart()
         self._turning = NO_TURNING
         self._suspension.restart()
@@ -81,7 +81,8 @@ class VehicleCorrection:
     # one frame -----------------------------------------------------------------------------
 
     def frame(self, t: float, turned: dict[str, Vector3 | None]) -> dict[str, Vector3 | None]:
-        """Correct the samples of one frame at stream time t [s]; None: the mount is not known."""
+        """Correct the samples of one frame at stream time t [s]. A sample of None means that the
+        mount is not known."""
         out: dict[str, Vector3 | None] = {}
         if "gyro" in turned and self._levers:
             self._turn(t, turned["gyro"])
@@ -125,7 +126,7 @@ class VehicleCorrection:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, turned: Mapping[str, Corrected]) -> dict[str, Array]:
-        """Correct columns (N, 3), with the same bits as `frame`."""
+        """Correct columns (N, 3). The results are bit-equal to the results of `frame`."""
         accel = turned.get("accel")
         forces = None if accel is None else [accel.values[:, i] for i in range(3)]
         if self._levers:
@@ -159,8 +160,8 @@ class VehicleCorrection:
         return out
 
     def _turnings(self, gyro: Corrected | None) -> tuple[NDArray[np.int64] | Array, Array]:
-        """Order, and (M + 1, 5) time, rates and yaw acceleration; the first row is the last one
-        before."""
+        """Return the order of the gyroscope samples, and rows (M + 1, 5) of time, rates and yaw
+        acceleration. The first row is the last row of the previous call."""
         when, rate, change = self._turning
         rows = [(when, *rate, change)]
         if gyro is None:
@@ -188,7 +189,7 @@ class VehicleCorrection:
     def _leans_of(
         self, accel: Corrected | None, forces: list[Array] | None
     ) -> list[SuspensionAttitude]:
-        """Attitude before the first force, and after each force."""
+        """Return the attitude of the body before the first force and after each force."""
         found = [self._suspension.attitude]
         if accel is not None and forces is not None:
             push = self._suspension.push
@@ -200,8 +201,8 @@ class VehicleCorrection:
 def carried(
     arm: Vector3, p: Number, q: Number, r: Number, change: Number
 ) -> tuple[Number, Number, Number]:
-    """Additional force at the end of the arm [m] against its root [m/s^2], from rates [rad/s] and
-    dr/dt."""
+    """Return the additional force at the end of the arm [m] relative to its begin [m/s^2], from
+    rates [rad/s] and dr/dt."""
     lx, ly, lz = arm
     along = p * lx + q * ly + r * lz
     square = p * p + q * q + r * r
@@ -215,7 +216,7 @@ def carried(
 def on_road(
     lean: tuple[Number, Number, Number, Number], x: Number, y: Number, z: Number
 ) -> tuple[Number, Number, Number]:
-    """Rotate from body axes to road axes: R_y(pitch) R_x(roll), for small angles."""
+    """Rotate a vector from body axes to road axes: R_y(pitch) R_x(roll), for small angles."""
     roll, pitch = lean[0], lean[1]
     s, c = roll - roll * roll * roll / 6.0, 1.0 - 0.5 * (roll * roll)
     y, z = c * y - s * z, s * y + c * z
@@ -226,6 +227,6 @@ def on_road(
 def less_suspension_rate(
     lean: tuple[Number, Number, Number, Number], x: Number, y: Number, z: Number
 ) -> tuple[Number, Number, Number]:
-    """Rates in body axes minus the body's angular rate against the road."""
+    """Return rates in body axes minus the body's angular rate relative to the road."""
     roll, _, roll_rate, pitch_rate = lean
     return x - roll_rate, y - pitch_rate, z + pitch_rate * roll

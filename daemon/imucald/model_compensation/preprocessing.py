@@ -1,5 +1,5 @@
-"""All changes by a model file in one engine: samples, columns and ticks, with counts of
-refusals."""
+"""All corrections by a model file in one engine: samples, columns and ticks, with counts of refused
+samples."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
 
 REFUSED = "out_of_range"
-"""Reason by which refused samples are counted."""
+"""Reason under which refused samples are counted."""
 
 
 @dataclass
 class PreprocessingChain:
-    """Removes the model's known errors between router and output.
+    """Removes the known errors of the model file, between router and output.
 
-    name: of the model file. estimate_key: equal keys give equal estimates of the mount. vehicle,
-    ticks: None if there is nothing to do. used: names of the terms that are removed. notes: the
-    parts of the model that are not used.
+    name: name of the model file. estimate_key: equal keys give equal estimates of the mount.
+    vehicle, ticks: corrections; None for a correction that changes no signal. used: names of the
+    terms that are removed. notes: parts of the model file that are not used.
     """
 
     name: str
@@ -40,16 +40,16 @@ class PreprocessingChain:
     notes: tuple[str, ...]
 
     def is_like(self, other: PreprocessingChain) -> bool:
-        """True if both change the same signals in the same way."""
+        """True if both objects change the same signals in the same way."""
         mine = self.name, self.estimate_key, self.used, self.notes
         return mine == (other.name, other.estimate_key, other.used, other.notes)
 
     def words(self) -> str:
-        """One line of text with the model and the terms that are removed."""
+        """Return one line of text with the model file and the terms that are removed."""
         return f"model {self.name}: corrects {', '.join(self.used) or 'nothing'}"
 
     def summary(self) -> dict[str, Any]:
-        """Model and removed terms as plain data for JSON."""
+        """Return the model file and the removed terms as plain data for JSON."""
         return {
             "file": self.name,
             "taken_out": list(self.used),
@@ -57,7 +57,7 @@ class PreprocessingChain:
         }
 
     def gap(self) -> None:
-        """Restart after a time jump (the pipeline restarts the ticks itself)."""
+        """Restart after a jump of time. The pipeline itself restarts the ticks."""
         self.sensors.gap()
         if self.vehicle is not None:
             self.vehicle.gap()
@@ -67,7 +67,7 @@ class PreprocessingChain:
     def frame(
         self, t: float, samples: list[Sample], rejected: Counter[str]
     ) -> tuple[list[Sample], list[str]]:
-        """Samples of one frame with the known errors removed, and the channels with a refused
+        """Return the samples of one frame without the known errors, and the channels with a refused
         sample."""
         if not samples:
             return samples, []
@@ -77,13 +77,13 @@ class PreprocessingChain:
         return out, refused
 
     def corrected(self, t: float, turned: dict[str, Vector3 | None]) -> dict[str, Vector3 | None]:
-        """Corrected samples of one frame, vehicle axes."""
+        """Return the corrected samples of one frame, in vehicle axes."""
         return turned if self.vehicle is None else self.vehicle.frame(t, turned)
 
     # columns -------------------------------------------------------------------------------
 
     def columns(self, routed: Routed, t: Array, rejected: Counter[str]) -> Routed:
-        """Columns of samples with the known errors removed. t: stream times of all rows [s]."""
+        """Return columns of samples without the known errors. t: stream times of all rows [s]."""
         order = {channel: series.row for channel, series in routed.samples.items()}
         taken = self.sensors.columns(routed.samples, order)
         if not taken:
@@ -109,7 +109,7 @@ class PreprocessingChain:
     def corrected_columns(
         self, samples: Mapping[str, ColumnSamples], turned: Mapping[str, Array]
     ) -> dict[str, Array]:
-        """Corrected samples (N, 3) by channel, vehicle axes."""
+        """Return corrected samples (N, 3) by channel, in vehicle axes."""
         if self.vehicle is None:
             return dict(turned)
         columns = {c: Corrected(s.row, s.t, turned[c]) for c, s in samples.items()}

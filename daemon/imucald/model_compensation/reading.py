@@ -1,6 +1,6 @@
-"""Read a model file for use while driving: its terms, and a line for each part that is not used.
+"""Read a model file for use while driving: its terms, and one line for each part that is not used.
 
-The schema knows the keys, their types and their ranges (`imucald.model`). This module defines the
+The schema defines the keys, their types and their ranges (`imucald.model`). This module defines the
 use of each key, and the largest values that are corrected.
 """
 
@@ -49,24 +49,28 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "bank_rms": (0.0, 0.5),
     "grade_rms": (0.0, 0.5),
 }
-"""Allowed ranges, in the unit of the key; every usable sensor, vehicle and road lies inside. These
-ranges are tighter than the schema's ranges, because a simulated drive may use any value."""
+"""Allowed ranges, in the unit of the key. All usable sensors, vehicles and roads are within these
+ranges. These ranges are tighter than the ranges of the schema, because a simulated drive may use
+any value.
+"""
 SCALE_RANGE = (-0.8, 4.0)
-"""Limits for a signal with one component, and for a wheel speed (which has no upper limit)."""
+"""Range of the scale error of a signal with one component. The lower limit is also valid for a
+wheel speed, which has no upper limit."""
 MAX_LEVER_M = 30.0
 SCALARS = ("speed", *VEHICLE_SIGNALS)
 FILTERED = ("accel", "gyro", *VEHICLE_SIGNALS)
 DELAYED = (*SCALARS, "accel", "gyro", "wheel_speeds", *FLAGS)
 RAIL_WIDTH = 0.001
-"""Margin as a share of the full scale: rounding in another unit must not hide a clipped value."""
+"""Margin of a clipped value, as a share of the full scale: rounding in another unit must not hide a
+clipped value."""
 NARROW_HZ = 8.0
-"""A filter with a lower corner frequency would remove the vehicle's motion."""
+"""Corner frequency [Hz] below which a filter removes the vehicle's motion."""
 
 
 def read_terms(
     model: Path | Mapping[str, Any], name: str = "model"
 ) -> tuple[Terms, tuple[str, ...]]:
-    """Read a model file, or a mapping of its content: its terms, and notes.
+    """Read a model file, or a mapping with its content. Returns its terms and the notes.
 
     Raises ConfigError with one line for each mistake: file, line, key, reason.
     """
@@ -108,7 +112,7 @@ class _Reader:
         return found
 
     def notes(self) -> list[str]:
-        """One line for each part of the model that is not used."""
+        """Return one line for each part of the model file that is not used."""
         file = self._file
         found = [f"{key}: this version does not know it; it is ignored" for key in file.unknown]
         if any(file.is_set("mount", f"{a}_deg") for a in ("roll", "pitch", "yaw")):
@@ -161,8 +165,8 @@ class _Reader:
         return ScalarTerms(scale or 0.0, offset, self._rail(section))
 
     def _rail(self, section: str) -> tuple[float, float]:
-        """Range of sizes of clipped raw values; a larger value shows that there is no clipping
-        limit here."""
+        """Return the range of the absolute values of clipped raw values. A value above this range
+        shows that the sensor does not clip at this limit."""
         full_scale = self._value(section, "full_scale")
         if full_scale is None:
             return NO_RAIL
@@ -197,7 +201,7 @@ class _Reader:
         )
 
     def _latency(self) -> dict[str, float]:
-        """Age [s] of each channel for which the file states one."""
+        """Return the age [s] of each channel whose age the file states."""
         found: dict[str, float] = {}
         for name in DELAYED:
             if not self._file.has(name, "delay_s", "time_constant_s", "lowpass_hz"):
@@ -215,7 +219,8 @@ class _Reader:
     # values ----------------------------------------------------------------------------------
 
     def _value(self, section: str, key: str, absent: Any = None) -> Any:
-        """A key's value within `RANGES`; `absent` if there is none or a wrong one."""
+        """Return the value of a key within `RANGES`; `absent` if there is no value or a wrong
+        value."""
         value = self._file.value(section, key, absent)
         found = self._within(section, key, value, RANGES.get(key))
         return absent if found is None else found

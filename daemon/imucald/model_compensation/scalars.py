@@ -12,8 +12,8 @@ from imucald.model_compensation.terms import ScalarTerms
 
 
 class ScalarCompensator:
-    """Removes scale and offset from a signal with one component. limit: its largest plausible size
-    in SI."""
+    """Removes scale error and offset from a signal with one component. limit: largest plausible
+    absolute value, in SI."""
 
     def __init__(self, terms: ScalarTerms, limit: float) -> None:
         self._offset, self._gain = terms.offset, 1.0 + terms.scale
@@ -28,7 +28,8 @@ class ScalarCompensator:
         return (x,)
 
     def columns(self, v: Array) -> tuple[Array, Flags]:
-        """Correct samples (N,) as `sample` does; returns also which are refused."""
+        """Correct samples (N,) as `sample` does. Returns the results and flags of the refused
+        samples."""
         x = (v - self._offset) / self._gain
         size = np.abs(v)
         refused = ((self._low <= size) & (size <= self._high)) | ~(np.abs(x) <= self._limit)
@@ -47,6 +48,7 @@ class WheelsCompensator:
         return found if all(abs(x) <= LIMITS["speed"] for x in found) else None
 
     def columns(self, v: Array) -> tuple[Array, Flags]:
-        """Correct samples (N, 4) as `sample` does; returns also which are refused (N,)."""
+        """Correct samples (N, 4) as `sample` does. Returns the results and flags (N,) of the
+        refused samples."""
         found = v / np.array(self._gains)
         return found, ~(np.abs(found).max(axis=1, initial=0.0) <= LIMITS["speed"])

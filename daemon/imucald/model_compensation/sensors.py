@@ -1,8 +1,9 @@
-"""Remove the terms that need no mount. The result is the sample of an error-free sensor.
+"""Remove the terms that can be removed without the mount. The result is the sample of an error-free
+sensor.
 
-In one frame the temperature is processed first, then the accelerometer, then the gyroscope (whose
+In one frame, the temperature is processed first, then the accelerometer, then the gyroscope (its
 g-sensitivity needs the force). Columns follow the same rule by their order numbers. Single samples
-and columns may be mixed and give the same bits.
+and columns may be mixed, and their results are bit-equal.
 """
 
 from __future__ import annotations
@@ -29,10 +30,12 @@ Order = NDArray[np.int64] | NDArray[np.float64]
 Sample = tuple[str, Sequence[float]]
 
 FELT_HZ = 5.0
-"""Low-pass of the force for the gyroscope's g-sensitivity. The two sensors sample at different
-times, so the accelerometer's vibration must not enter the gyroscope's samples."""
+"""Cut-off frequency of the low-pass filter on the force for the gyroscope's g-sensitivity [Hz]. The
+two sensors sample at different times, so the vibration of the accelerometer must not affect the
+gyroscope's samples."""
 MIN_DEGC, MAX_DEGC = -60.0, 150.0
-"""A temperature outside this range is invalid [degC]; the last valid one stays in use."""
+"""Range of valid temperatures [degC]. After an invalid temperature, the last valid temperature
+stays in use."""
 _FIRST = {TEMPERATURE.channel: 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
 CHANNELS = (TEMPERATURE.channel, *TRIADS, "wheel_speeds", "speed", *VEHICLE_SIGNALS)
 """Channels that a term may change."""
@@ -40,17 +43,18 @@ CHANNELS = (TEMPERATURE.channel, *TRIADS, "wheel_speeds", "speed", *VEHICLE_SIGN
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """Columns of one channel after compensation: values as in `samples`, and which are refused."""
+    """Columns of one channel after compensation: values as in `samples`, and flags of the refused
+    samples."""
 
     values: Array
     refused: Flags
 
 
 class SensorCorrection:
-    """Removes each sensor's known errors from its samples.
+    """Removes the known errors of each sensor from its samples.
 
-    derived_speed: True if speed comes from the wheels; it is then computed again from the corrected
-    wheel speeds.
+    derived_speed: True if the speed is computed from the wheel speeds. The speed is then computed
+    again from the corrected wheel speeds.
     """
 
     def __init__(self, terms: Terms, derived_speed: bool = False) -> None:
@@ -79,7 +83,8 @@ class SensorCorrection:
         self._chains = {channel: chain for channel, chain in stages.items() if chain}
 
     def _stages(self, channel: str) -> list[Stage]:
-        """Stages for each sample of a channel, in order; empty if there are none."""
+        """Return the processing stages for each sample of a channel, in order; empty if there are
+        none."""
         stages: list[Stage] = []
         if channel in self._triads:
             stages.append(self._triads[channel].sample)
@@ -98,7 +103,7 @@ class SensorCorrection:
         return stages
 
     def gap(self) -> None:
-        """Restart after a time jump: state from earlier samples is deleted, except the
+        """Restart after a jump of time: state from earlier samples is deleted, except the
         temperature."""
         self._felt.restart()
         for repeats in self._repeats.values():
@@ -153,10 +158,10 @@ class SensorCorrection:
     def columns(
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
     ) -> dict[str, Taken]:
-        """Compensate columns of samples; returns the channels that are changed.
+        """Compensate columns of samples. Returns the channels that are changed.
 
-        order: by channel, the order of arrival of each sample, never decreasing; equal numbers came
-        in one frame.
+        order: by channel, the order of arrival of each sample, ascending. Samples with equal
+        numbers came in one frame.
         """
         temperatures = self._temperatures(samples, order)
         out: dict[str, Taken] = {}
@@ -191,7 +196,7 @@ class SensorCorrection:
     def _temperatures(
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
     ) -> tuple[Order, Array]:
-        """Order and values of the valid temperatures [degC]."""
+        """Return the order numbers and the values of the valid temperatures [degC]."""
         series = samples.get(TEMPERATURE.channel)
         if series is None or not self._temperature_dependent:
             return np.zeros(0), np.zeros(0)
@@ -201,7 +206,7 @@ class SensorCorrection:
     def _take_felt(
         self, samples: Mapping[str, Series], order: Mapping[str, Order], out: dict[str, Taken]
     ) -> None:
-        """Remove the effect of the force on the gyroscope at each of its samples."""
+        """Remove the effect of the force on the gyroscope, at each sample of the gyroscope."""
         felt: list[Vector3] = [self._felt.value]
         before: Order = np.zeros(0)
         accel = samples.get("accel")
@@ -224,12 +229,12 @@ def _rank(sample: Sample) -> int:
 
 
 def _before(order: Order, others: Order) -> NDArray[np.int64]:
-    """Return, for each sample, the number of other samples that had arrived before it, including
-    those of the same frame."""
+    """Return, for each sample, the number of other samples that arrived before it or in the same
+    frame."""
     return np.searchsorted(others, order, side="right").astype(np.int64)
 
 
 def middle(wheels: Sequence[float]) -> float:
-    """Mean of the middle two of four wheel speeds [m/s]."""
+    """Return the mean of the two middle values of four wheel speeds [m/s]."""
     _, b, c, _ = sorted(abs(v) for v in wheels)
     return 0.5 * (b + c)

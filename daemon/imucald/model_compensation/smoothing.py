@@ -1,4 +1,4 @@
-"""A first-order low-pass for three axes, with samples at any times."""
+"""A first-order low-pass filter for three axes, with samples at any times."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import math
 from imucald.model.section import ZERO, Vector3
 
 GAP_S = 0.5
-"""After a longer gap [s] a filter starts again."""
+"""Gap after which a filter starts again [s]."""
 
 
 class Smoothed:
-    """First-order low-pass; backward Euler, so it is stable for any time step.
+    """First-order low-pass filter. It uses the backward Euler method, so it is stable for any time
+    step.
 
-    corner: [Hz].
+    corner: corner frequency [Hz].
     """
 
     def __init__(self, corner: float) -> None:
@@ -22,12 +23,12 @@ class Smoothed:
         self._t = -math.inf
 
     def restart(self) -> None:
-        """Delete the state after a time jump."""
+        """Forget the smoothed value after a jump of time."""
         self.value = ZERO
         self._t = -math.inf
 
     def push(self, t: float, v: Vector3) -> Vector3:
-        """Take a sample at t [s]; return the smoothed one."""
+        """Take a sample at t [s]. Returns the smoothed sample."""
         dt = t - self._t
         self._t = t
         if not dt <= GAP_S:

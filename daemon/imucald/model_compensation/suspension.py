@@ -1,12 +1,12 @@
-"""Attitude of the body on its springs against the road, from the force on the body.
+"""Attitude of the body on its springs relative to the road, from the force on the body.
 
 Pitch and roll respond to the force along the road as second-order systems with the model's
 frequency and damping (the same equation as in the simulation). The accelerometer leans with the
-body and also measures gravity, f_body = f_road + g * lean. Inserting this gives:
+body and also measures gravity, f_body = f_road + g * lean. The equation of the lean is then:
 
     lean'' + 2 d w lean' + w^2 (1 + g k) lean = w^2 k f_body
 
-Far above its natural frequency of about 2 Hz the system does not respond, so vibration causes no
+Far above its natural frequency of about 2 Hz, the system does not respond, so vibration causes no
 lean.
 """
 
@@ -18,20 +18,20 @@ from imucald.core.samples import GRAVITY
 from imucald.model_compensation.terms import SuspensionTerms
 
 GAP_S = 0.5
-"""A force older than this [s] does not give the lean. After such a gap the body is assumed to be at
-rest on its springs."""
+"""Age of a force above which it does not determine the lean [s]. After such a gap, the body is
+assumed to be at rest on its springs."""
 MAX_ANGLE = 0.15
-"""Largest lean of any car [rad]."""
+"""Largest lean of a car [rad]."""
 
 SuspensionAttitude = tuple[float, float, float, float]
-"""Roll, pitch [rad] and their rates [rad/s]; ISO 8855: roll positive left side up, pitch nose
-down."""
+"""Roll and pitch [rad], and their rates [rad/s], by ISO 8855: roll positive left side up, pitch
+positive nose down."""
 UPRIGHT: SuspensionAttitude = (0.0, 0.0, 0.0, 0.0)
 
 
 class _Axis:
-    """One axis as a second-order system, with one gradient for positive force and one for
-    negative."""
+    """One axis as a second-order system. The axis has one gradient for a positive force and another
+    for a negative force."""
 
     def __init__(self, positive: float, negative: float, hz: float, damping: float) -> None:
         omega = 2.0 * math.pi * hz
@@ -41,14 +41,14 @@ class _Axis:
         self.angle = self.rate = 0.0
 
     def settle(self, force: float) -> None:
-        """Set the steady state under the force [m/s^2]."""
+        """Set the steady state for this force [m/s^2]."""
         gradient = self._gradients[0] if force > 0.0 else self._gradients[1]
         self.angle = gradient * force / (1.0 + GRAVITY * gradient)
         self.rate = 0.0
 
     def push(self, dt: float, force: float) -> None:
-        """Advance by dt [s] under the body's force [m/s^2], by the trapezoidal rule, which is
-        always stable."""
+        """Advance by dt [s] with the body's force [m/s^2], by the trapezoidal rule, which is always
+        stable."""
         angle, rate = self.angle, self.rate
         gradient = self._gradients[0] if force - GRAVITY * angle > 0.0 else self._gradients[1]
         square = self._square
@@ -61,7 +61,7 @@ class _Axis:
 
 
 class SuspensionFilter:
-    """Takes forces in vehicle (body) axes and gives the attitude of the body."""
+    """Takes forces in vehicle (body) axes and returns the attitude of the body."""
 
     def __init__(self, terms: SuspensionTerms) -> None:
         self._roll = _Axis(terms.roll, terms.roll, terms.roll_hz, terms.roll_damping)
@@ -73,16 +73,16 @@ class SuspensionFilter:
         """Time of the newest force [s]."""
 
     def restart(self) -> None:
-        """Delete the state after a jump of time or of the axes."""
+        """Delete the state after a jump of time or a change of the axes."""
         self.t = -math.inf
         self.attitude = UPRIGHT
 
     def at(self, t: float) -> SuspensionAttitude:
-        """Return the lean at t [s]; zero if the newest force is too old."""
+        """Return the attitude of the body at t [s]; zero if the newest force is too old."""
         return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> SuspensionAttitude:
-        """Take the force along and across the vehicle at t [s]; NaN makes it start again."""
+        """Take the force along and across the vehicle at t [s]. NaN restarts the filter."""
         if math.isnan(x):
             self.restart()
             return self.attitude

@@ -1,8 +1,8 @@
 """The terms of a model file that can be removed from signals while driving.
 
 Every term is the inverse of the same term in the simulation. The simulation converts the true value
-into the sensor's reading; this package converts the reading into the true value. SI units, ISO 8855
-axes; neutral values change nothing.
+into the sensor's reading, and this package converts the reading into the true value. Values are in
+SI units and ISO 8855 axes. Neutral values have no effect.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from imucald.model.section import ZERO, Vector3
 from imucald.model.vehicle import Suspension
 
 Matrix9 = tuple[float, float, float, float, float, float, float, float, float]
-"""(3, 3), row by row."""
+"""Matrix (3, 3), row by row."""
 
 IDENTITY: Matrix9 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NO_RAIL = (math.inf, math.inf)
@@ -23,15 +23,16 @@ REFERENCE_DEGC = 25.0
 """Temperature at which `bias` is stated."""
 _SPRINGS = Suspension()
 BUTTERWORTH_DELAY = math.sqrt(2.0) / (2.0 * math.pi)
-"""Product of delay and corner frequency of a second-order Butterworth filter, well below the
-corner."""
+"""Product of delay and corner frequency of a second-order Butterworth filter, for frequencies well
+below the corner."""
 
 
 @dataclass(frozen=True)
 class TriadTerms:
     """Three axes: measured = gain @ true + bias + bias_temperature * (T - 25 degC).
 
-    inverse: of the gain. rail: raw values whose size lies between these two were clipped.
+    inverse: inverse of the gain. rail: limits of the absolute value between which a raw value was
+    clipped.
     """
 
     inverse: Matrix9 = IDENTITY
@@ -41,13 +42,13 @@ class TriadTerms:
 
     @property
     def neutral(self) -> bool:
-        """True if it changes nothing."""
+        """True if the terms have no effect."""
         return self == TriadTerms()
 
 
 @dataclass(frozen=True)
 class ScalarTerms:
-    """Signal with one component: measured = (1 + scale) * true + offset. rail: as of
+    """Signal with one component: measured = (1 + scale) * true + offset. rail: as in
     `TriadTerms`."""
 
     scale: float = 0.0
@@ -61,7 +62,7 @@ class SuspensionTerms:
     damping.
 
     Each axis is a second-order system. squat: nose up per forward force. dive: nose down per
-    braking force. roll: out of the turn per lateral force.
+    braking force. roll: roll out of the turn per lateral force.
     """
 
     squat: float = 0.0
@@ -80,8 +81,7 @@ class SuspensionTerms:
 
 @dataclass(frozen=True)
 class ChassisTerms:
-    """Parameters that turn the steering angle into a yaw rate; None if the model does not state
-    them."""
+    """Dimensions of the vehicle and its understeer; None if the model file does not state them."""
 
     wheelbase: float | None = None
     track: float | None = None
@@ -93,11 +93,12 @@ class ChassisTerms:
 class Terms:
     """All used terms of a model file.
 
-    g_sensitivity: rate per specific force on the same sensor axis [(rad/s)/(m/s^2)]. wheel_scales:
-    of four wheels. scalars: by channel. lever_arm: of the sensor from the body's centre of
-    rotation, vehicle axes [m]. latency: by channel, the age of a value when its frame comes [s],
-    including filters. crown_mean: cross fall towards the kerb (tangent), None: not given. bank_rms,
-    grade_rms: rms of the road's cross fall and grade (tangents); 0: not given.
+    g_sensitivity: rate error per specific force on the same sensor axis [(rad/s)/(m/s^2)].
+    wheel_scales: scale errors of the four wheel speeds. scalars: terms of signals with one
+    component, by channel. lever_arm: vector from the body's centre of rotation to the sensor,
+    vehicle axes [m]. latency: by channel, the age of a value when its frame is received [s],
+    including filters. crown_mean: cross fall towards the kerb (tangent); None: not stated.
+    bank_rms, grade_rms: rms of the road's cross fall and grade (tangents); 0: not stated.
     """
 
     accel: TriadTerms = TriadTerms()
@@ -116,7 +117,8 @@ class Terms:
 
 
 def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | None:
-    """Inverse of (1 + scale on the diagonal, xy xz yx yz zx zy off it); None: singular."""
+    """Return the inverse of the matrix with 1 + scale on the diagonal and xy xz yx yz zx zy off the
+    diagonal; None if it is nearly singular."""
     xy, xz, yx, yz, zx, zy = cross_axis
     a, e, i = (1.0 + s for s in scale)
     minors = (e * i - yz * zy, yz * zx - yx * i, yx * zy - e * zx)
@@ -137,9 +139,10 @@ MIN_GAIN = 0.2
 
 
 def saved_text(terms: Terms) -> str:
-    """Text of terms that identifies a saved calibration; its words never change.
+    """Return the text of terms that identifies a saved calibration. The words of this text never
+    change.
 
-    The suspension's terms were called lean, and latency lateness, when the first were saved.
+    Older names in this text: `LeanTerms` and `lean` for the suspension, `lateness` for the latency.
     """
     text = repr(terms)
     for now, then in (

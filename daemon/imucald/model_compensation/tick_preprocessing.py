@@ -1,10 +1,11 @@
-"""Prepare the estimator's ticks with the model: align signals in time and remove the suspension's
-lean.
+"""Prepare the ticks for the estimator with the model: align signals in time and remove the lean of
+the body on its suspension.
 
-If a body rolls more in left turns than in right ones, or squats more than it dives, its mean
-attitude biases the mount estimate. The current mount is accurate enough to remove the lean; before
-there is one, ticks stay unchanged. The lever arm is not removed here. The estimator removes it with
-the rates before and after the tick; the later rates are not known here yet.
+If a body rolls more in left turns than in right turns, or squats more than it dives, its mean
+attitude biases the mount estimate. The current mount is accurate enough to remove the lean. Before
+there is a mount, ticks stay unchanged. This module does not remove the effect of the lever arm. The
+estimator removes this effect with the rates before and after the tick, and the later rates are not
+known here.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ _SENSORS = ((tk.ACCEL.n, _FORCES), (tk.GYRO.n, _RATES))
 class TickPreprocessing:
     """Takes rows of ticks and returns the rows for the estimator.
 
-    suspension: of the body, at ten ticks per second; None: stiff.
+    time_alignment: alignment in time; None: all signals have the same age. suspension: attitude of
+    the body, at ten ticks per second; None: a stiff suspension.
     """
 
     def __init__(
@@ -41,7 +43,8 @@ class TickPreprocessing:
         self._repeats = tuple(HeldRepeats(SAME) for _ in _SENSORS)
 
     def gap(self) -> None:
-        """Restart after a time jump: earlier and later ticks are not joined."""
+        """Restart after a jump of time: ticks before the jump are not joined with ticks after
+        it."""
         if self._time_alignment is not None:
             self._time_alignment.gap()
         if self._suspension is not None:
@@ -53,9 +56,9 @@ class TickPreprocessing:
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick for the estimator.
 
-        correction: the correction that is applied during the tick. The lean comes from the
-        corrected force. The lean rotates the samples in the axes of the housing, so that their own
-        errors stay the same.
+        correction: correction that is applied during the tick. The lean is computed from the
+        corrected force. The samples are rotated by the lean with the rotation of the housing only,
+        so that the sensors' own errors stay the same.
         """
         if self._time_alignment is not None:
             row = self._time_alignment.row(row)
@@ -66,11 +69,11 @@ class TickPreprocessing:
     def _upright(
         self, suspension: SuspensionFilter, row: Sequence[float], correction: Correction | None
     ) -> Sequence[float]:
-        """Return force and rate of a tick as with a stiff suspension.
+        """Return the row of a tick with the force and rate of a stiff suspension.
 
-        The change of the lean since its last removal is subtracted from the rate. Force and rate
-        therefore stay consistent over a gap in the force, in which the gyroscope measures the
-        leaning body.
+        The change of the lean since the last removal is subtracted from the rate. Force and rate
+        therefore stay consistent over a gap in the force. In such a gap, the gyroscope still
+        measures the motion of the leaning body.
         """
         if correction is None:
             suspension.restart()
@@ -93,7 +96,7 @@ class TickPreprocessing:
         return out
 
     def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
-        """Keep repeated samples equal, so that a stuck sensor is still recognised."""
+        """Keep repeated samples equal, so that a stuck sensor is still recognised as stuck."""
         out = list(upright)
         for (count, axes), repeats in zip(_SENSORS, self._repeats, strict=True):
             if row[count]:

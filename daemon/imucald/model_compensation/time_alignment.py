@@ -1,9 +1,10 @@
 """Align signals of different age, tick by tick, before they reach the estimator.
 
-Each channel is held back until the latest channel has arrived: whole ticks by storing rows, the
-rest by the age that a tick states for its samples. A known delay is therefore not estimated again,
-and does not disturb parts that cannot handle delays. Only the estimator waits; samples are
-corrected when they arrive.
+Each channel is delayed until the channel with the largest latency has arrived. Whole ticks of delay
+are made by storing rows. The remaining part of a tick is subtracted from the age that a tick states
+for its samples, or the mean is interpolated. A known delay is therefore not estimated again, and
+does not disturb parts of the program that cannot handle delays. Only the estimator waits. Samples
+are corrected when they arrive.
 """
 
 from __future__ import annotations
@@ -18,12 +19,13 @@ from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_RATE, TICK_S, TickAccumulator
 
 MIN_SHIFT_S = 0.001
-"""Smaller differences are not corrected."""
+"""Smallest difference of latency that is corrected [s]."""
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one channel in a row: all columns, the age (sensors), mean and count (scalars)."""
+    """Columns of one channel in a row. columns: all columns. age: column of the age (sensors).
+    mean: columns of count and mean (signals with one component)."""
 
     columns: tuple[int, ...]
     age: int | None = None
@@ -48,9 +50,9 @@ class _Shift:
 
 
 class TimeAlignment:
-    """Takes rows of ticks and returns rows in which all channels belong to one time.
+    """Takes rows of ticks and returns rows in which all channels belong to the same time.
 
-    shifts: by channel how long it is held back [s].
+    shifts: by channel, the time by which the channel is delayed [s].
     """
 
     def __init__(self, shifts: Mapping[str, float]) -> None:
@@ -65,11 +67,11 @@ class TimeAlignment:
         )
 
     def gap(self) -> None:
-        """Restart after a time jump: held rows are not joined with later ones."""
+        """Restart after a jump of time: stored rows are not joined with later rows."""
         self._rows.clear()
 
     def row(self, row: Sequence[float]) -> list[float]:
-        """Take the row of a tick; return it with every channel held back by its shift."""
+        """Take the row of a tick. Returns a row in which every channel is delayed by its shift."""
         self._rows.appendleft(row)
         out = list(self._empty)
         out[tk.T] = row[tk.T]
@@ -98,10 +100,12 @@ class TimeAlignment:
 
 
 def alignment_shifts(latency: Mapping[str, float]) -> dict[str, float]:
-    """Time by which each channel is held back [s], so that all are as late as the latest one.
+    """Return the time by which each channel is delayed [s], so that all channels have the same
+    latency.
 
-    latency: by channel [s]; one that is absent is as late as the accelerometer. The accelerometer
-    is held back by whole ticks, so that its ticks stay unchanged. Empty: nothing to do.
+    latency: latency by channel [s]. A channel without a latency has the latency of the
+    accelerometer. The accelerometer is delayed by whole ticks, so that its ticks stay unchanged.
+    The result is empty if no delay is needed.
     """
     accel = latency.get("accel", 0.0)
     most = max((late - accel for late in latency.values()), default=0.0)

@@ -14,10 +14,10 @@ from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, 
 
 
 class TriadCompensator:
-    """Removes bias, scale and cross-axis errors; refuses clipped and implausible samples.
+    """Removes bias, scale and cross-axis errors, and refuses clipped and implausible samples.
 
-    Single samples and columns give the same bits, because the operations have the same order.
-    limit: largest plausible size of a component, in SI.
+    Single samples and columns give bit-equal results, because the operations have the same order.
+    limit: largest plausible absolute value of a component, in SI.
     """
 
     def __init__(self, terms: TriadTerms, limit: float) -> None:
@@ -57,10 +57,11 @@ class TriadCompensator:
     def columns(
         self, v: Array, temperatures: tuple[NDArray[np.int64], Array]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Correct samples (N, 3) as `sample` does; returns also which are refused (N,).
+        """Correct samples (N, 3) as `sample` does. Returns the results and flags (N,) of the
+        refused samples.
 
-        temperatures: for each sample, the number of the temperatures (M,) [degC] that had arrived
-        before it.
+        temperatures: pair of arrays. The first array has, for each sample, the number of
+        temperatures that arrived before it. The second array has the temperatures (M,) [degC].
         """
         bias = np.array([self._bias])
         if self.follows_temperature:

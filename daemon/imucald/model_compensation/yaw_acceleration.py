@@ -1,10 +1,11 @@
-"""Yaw acceleration by an observer, with less noise than a difference quotient.
+"""Yaw acceleration from an observer, with less noise than a difference quotient.
 
-Second-order observer of (rate, its derivative) with both poles damped by 0.7. The corner was chosen
-on simulated drives: with 3 to 5 Hz the error of dr/dt times a lever arm of 1.5 m is smallest, 0.035
-of 0.11 m/s^2 rms; a lower corner lags behind the driver, a higher corner passes the gyroscope's
-noise. The body's pitch and roll on a rough road are too fast for any causal filter with such noise.
-Removing their acceleration made the force worse at every corner, so it is not removed.
+The observer is of second order, for the rate and its derivative, with a damping of 0.7 for both
+poles. The corner frequency was chosen with simulated drives. With 3 to 5 Hz, the error of dr/dt
+times a lever arm of 1.5 m is smallest: 0.035 of 0.11 m/s^2 rms. A lower corner frequency gives a
+larger delay, and a higher corner frequency passes more noise of the gyroscope. The body's pitch and
+roll on a rough road are too fast for any causal filter with such noise. Removing their acceleration
+made the force worse at every corner frequency, so it is not removed.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ import math
 CORNER_HZ = 4.0
 DAMPING = 0.7
 GAP_S = 0.5
-"""After a longer gap [s] it starts again."""
+"""Gap after which the observer starts again [s]."""
 
 
 class YawAcceleration:
-    """Takes yaw rates [rad/s] and gives their derivative; backward Euler, stable for any time
-    step."""
+    """Takes yaw rates [rad/s] and returns their derivative. It uses the backward Euler method,
+    which is stable for any time step."""
 
     def __init__(self) -> None:
         omega = 2.0 * math.pi * CORNER_HZ
@@ -28,14 +29,14 @@ class YawAcceleration:
         self.restart()
 
     def restart(self) -> None:
-        """Delete the state after a jump of time or of the axes."""
+        """Delete the state after a jump of time or a change of the axes."""
         self._t = -math.inf
         self._rate = 0.0
         self.value = 0.0
-        """[rad/s^2]"""
+        """Yaw acceleration [rad/s^2]."""
 
     def push(self, t: float, rate: float) -> float:
-        """Take a rate at t [s]; return its derivative. NaN makes it start again."""
+        """Take a rate at t [s]. Returns its derivative [rad/s^2]. NaN restarts the observer."""
         if math.isnan(rate):
             self.restart()
             return 0.0

@@ -1,1 +1,2 @@
-"""What the vehicle does: ticks, standstill, straight line, speed and its derivative."""
+"""Motion of the vehicle: ticks, standstill, straight line, speed and its derivative, signal
+health."""

@@ -1,10 +1,12 @@
-"""Convert a speed in coarse steps to the times at which it passed the middle between two steps.
+"""Convert a speed with a coarse step size to the times at which it passed the middle between two
+steps.
 
-A signal that is rounded to steps s keeps a value while the true speed is within s / 2 of it. The
-signal changes to the next value when the true speed passes the middle. Used directly, the values
-make dv/dt zero for most of the time with a spike now and then, which no force follows. Straight
-lines between the passages are wrong by at most s / 2, and exact at the passages. Noise makes the
-signal alternate around a passage. The passage is where most samples of a tick have passed.
+A signal that is rounded to a step size s keeps a value while the true speed is within s / 2 of this
+value. The signal changes to the next value when the true speed passes the middle between the two
+values. If the values are used directly, dv/dt is zero most of the time and has a spike at each
+step. The accelerometer shows no such spikes. Straight lines between the passages have an error of
+at most s / 2, and no error at the passages. With noise, the signal alternates around a passage. The
+time of the passage is then computed from the mean of the samples in a tick.
 """
 
 from __future__ import annotations
@@ -15,39 +17,41 @@ from imucald.core.arrays import Array, Flags
 from imucald.motion.ticks import TICK_S
 
 SAME_SPEED = 1e-6
-"""Difference by rounding between means over different numbers of equal speeds [m/s]."""
+"""Difference between means over different numbers of equal speeds that comes from rounding
+[m/s]."""
 COARSE = 0.02
-"""Smallest step that counts as coarse [m/s].
+"""Smallest step size that counts as coarse [m/s].
 
-Finer steps cause less noise in dv/dt over two ticks than a road causes in the force.
+A smaller step size causes less noise in dv/dt over two ticks than a road causes in the force.
 """
 SMALL = 0.15
-"""A change of less than this share of the step is not a step, except for the first or last of ten
-samples of a tick.
+"""Share of the step size below which a change is not a step. Exception: a change that only the
+first or last of ten samples of a tick shows.
 """
 ON_STEP, MOST_OFF = 1e-3, 0.1
-"""A mean within this share of a step counts as on the step, up to rounding.
-
-At most this share of ticks may hold a sample of another sender or a wrong value.
+"""Tolerances for values on a step. Up to rounding, a mean within `ON_STEP` of a step counts as on
+the step. At most the share `MOST_OFF` of all ticks may contain a sample of another sender or a
+wrong value.
 """
 ONE_STEP = 1.5
-"""Values at most this many steps apart are neighbours."""
+"""Distance, in steps, up to which two values are neighbours."""
 
 
 def stays(values: Array) -> Flags:
-    """Return whether any of speeds (B, M) stays equal from one tick to the next, apart from
-    standstill (B,).
+    """Return flags (B,): True if the speeds (B, M) are equal in two successive ticks outside
+    standstill.
     """
     same = np.abs(values[:, 1:] - values[:, :-1]) <= SAME_SPEED
     return np.asarray((same & (np.abs(values[:, 1:]) > SAME_SPEED)).any(axis=1))
 
 
 def step_of(values: Array) -> float:
-    """Return the step of speeds (N,) [m/s]: the smallest change between two speeds that stay; 0: no
-    step is visible.
+    """Return the step size of speeds (N,) [m/s]: the smallest change between two speeds that each
+    last for more than one tick. 0: no step size is visible.
 
-    If a coarse speed changes within a tick, the mean lies between its steps and does not stay. A
-    fine speed stays while the vehicle keeps its speed, but most of its changes are small.
+    If a coarse speed changes within a tick, the mean of the tick lies between two steps and does
+    not last. A fine speed lasts while the vehicle keeps its speed, but most changes of a fine speed
+    are small.
     """
     change = np.abs(values[1:] - values[:-1])
     moves = change > SAME_SPEED
@@ -67,10 +71,10 @@ def step_of(values: Array) -> float:
 
 
 def comes_in(step: float, values: Array, counts: Array) -> bool:
-    """Return whether mean speeds (N,) of this many samples (N,) each come from a signal with this
-    step [m/s].
+    """Return whether mean speeds (N,) come from a signal with this step size [m/s].
 
-    The sum of a tick's samples is then a whole number of steps.
+    counts: (N,) number of samples of each mean. If the speeds come from such a signal, the sum of
+    the samples of a tick is a whole number of steps.
     """
     whole = values * counts / step
     off = np.abs(whole - np.rint(whole)) > ON_STEP * counts
@@ -78,10 +82,10 @@ def comes_in(step: float, values: Array, counts: Array) -> bool:
 
 
 def passages(times: Array, values: Array, step: float) -> tuple[Array, Array]:
-    """Return times (M,) and speeds (M,) of the points that straight lines connect, from ticks' mean
-    speeds (N,) in steps [m/s].
+    """Return the times (M,) [s] and speeds (M,) [m/s] of the passages from mean speeds (N,) of
+    ticks. The speed between two passages is a straight line.
 
-    Standstill is kept, and so are changes by more than a step from tick to tick.
+    Values at standstill are kept. Changes by more than one step from tick to tick are also kept.
     """
     if step < COARSE:
         return times, values

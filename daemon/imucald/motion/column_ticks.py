@@ -1,4 +1,5 @@
-"""Ticks from whole columns of samples: the replay version of `ticks`, with the same bits."""
+"""Ticks from whole columns of samples: the version of `ticks` for replay, with bit-equal
+results."""
 
 from __future__ import annotations
 
@@ -33,9 +34,9 @@ def ticks_from_samples(
 ) -> NDArray[np.float64]:
     """Return ticks first .. stop-1 as (stop - first, COLUMNS), from whole columns of samples.
 
-    Samples outside those ticks are ignored. rejected: for each channel, times [s] of samples that
-    were rejected for their values. The result equals `TickAccumulator` on the same samples to the
-    last bit.
+    Samples outside these ticks are ignored. rejected: for each channel, times [s] of samples that
+    were rejected for their values. The result is bit-equal to the result of `TickAccumulator` for
+    the same samples.
     """
     n = stop - first
     if n <= 0:
@@ -62,8 +63,8 @@ _PLACES: Mapping[str, NDArray[np.int64]] = {
         **{name: (-1, -1, -1, -1, -1, -1, column) for name, column in LASTS.items()},
     }.items()
 }
-"""For each channel, the columns of count, first mean, mean square, least, largest, age and last;
--1: none.
+"""For each channel, the columns of count, first mean, first mean square, first smallest value,
+first largest value, age, and last value; -1: no such column.
 """
 
 
@@ -74,7 +75,7 @@ def _rows(first: int, n: int) -> NDArray[np.float64]:
 
 
 def _by_kernel(samples: Samples, first: int, n: int) -> NDArray[np.float64] | None:
-    """Return rows from the compiled part; None if it is missing or times decrease."""
+    """Return the rows from the compiled code; None if it is missing or times decrease."""
     if compiled.kernels is None:
         return None
     out = _rows(first, n)

@@ -1,10 +1,11 @@
-"""A hop is half a second of one sensor's samples. This module computes its figures, axis by axis,
-for the sensor's health.
+"""A hop is half a second of one sensor's samples. This module computes statistics of each hop and
+axis, which show the sensor's health.
 
-Figures are counts and comparisons of single samples, without smoothing: runs of equal values, the
-largest value, and how often this value came. Live, a hop is computed when it is over; in replay,
-many hops are computed together. Both use `hop_rows`, so they give the same bits. The compiled part
-and `_count_axis` do the same.
+The statistics are counts and comparisons of single samples, without smoothing. Examples are runs of
+equal values, the largest value, and the number of samples with the largest value. In live
+operation, a hop is computed when it is over. In replay, many hops are computed together. Live
+operation and replay use `hop_rows`, so the results are bit-equal. The compiled code and
+`_count_axis` compute the same numbers.
 """
 
 from __future__ import annotations
@@ -22,18 +23,19 @@ from imucald.core.arrays import Array, Index
 from imucald.motion.ticks import TICK_S
 
 HOP_TICKS = 5
-"""Ticks of a hop: half a second, so that three are over before a fault is two seconds old."""
+"""Number of ticks of a hop: half a second. Three hops are then over within two seconds of a
+fault."""
 HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
-"""Number of extremes of each axis that are watched: the upper and the lower."""
+"""Number of extremes of each axis that are watched: the largest and the smallest value."""
 
 
 class Carry(Struct):
-    """State that one hop passes to the next; arrays by axis.
+    """State that one hop passes to the next hop. Each array has one entry per axis.
 
-    last: the last sample, NaN before the first. run: how many last samples were equal to it. step:
-    the smallest change so far.
+    last: the last sample; NaN before the first sample. run: number of equal samples up to the last
+    sample. step: smallest change from sample to sample so far.
     """
 
     last: Array
@@ -50,20 +52,20 @@ class Carry(Struct):
         )
 
     def restart(self) -> None:
-        """Restart after a jump of time: no run continues across it."""
+        """Restart after a jump of time: no run of equal values continues across the jump."""
         self.last[:] = math.nan
         self.run[:] = 0
 
 
 class HopRows(Struct, frozen=True):
-    """Figures of H hops: count (H,), the others (H, axes), of extremes (H, 2, axes).
+    """Statistics of H hops. Shapes: count (H,), top and on_top (H, 2, axes), others (H, axes).
 
     mean: mean of the samples. level: mean size of the change from sample to sample. step: smallest
-    change so far. ended: number of runs of equal values that ended. longest: length of the longest
-    of those runs. run: number of equal samples up to the hop's end. top: the hop's largest value,
-    and the largest of the negated values; on_top: number of samples on it. samples: (axes, N), the
-    samples themselves; those of hop h are edges[h] to edges[h + 1]. before: (axes,), the sample
-    before the first, NaN if none.
+    change so far. ended: number of runs of equal values that ended in the hop. longest: length of
+    the longest of these runs. run: number of equal samples up to the hop's end. top: the hop's
+    largest value, and the largest of the negated values. on_top: number of samples with the value
+    of `top`. samples: (axes, N) the samples; hop h has the samples from edges[h] to edges[h + 1].
+    before: (axes,) the sample before the first hop; NaN if there is none.
     """
 
     count: Index
@@ -80,13 +82,13 @@ class HopRows(Struct, frozen=True):
     before: Array
 
     def previous(self, k: int) -> Array:
-        """Return the sample before sample k (axes,), NaN if there is none."""
+        """Return the sample before sample k (axes,); NaN if there is none."""
         return self.samples[:, k - 1] if k else self.before
 
     def entries(self) -> Array:
-        """Return the size of the change with which the run at each hop's end began (H, axes).
+        """Return the size of the change at which the run at the end of each hop began (H, axes).
 
-        The value is valid only for runs that began in their hop.
+        The value is valid only for a run that began in the same hop.
         """
         axes = np.arange(len(self.before))
         at = np.minimum(np.maximum(self.edges[1:, None] - self.run, 0), self.samples.shape[1] - 1)
@@ -95,9 +97,9 @@ class HopRows(Struct, frozen=True):
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
-    """Return the figures of hops 0 .. hops-1, and update `carry` to their end.
+    """Return the statistics of hops 0 .. hops-1, and update `carry` to the end of the last hop.
 
-    values: (N, axes) samples. hop: (N,) hop number of each sample, never decreasing.
+    values: (N, axes) samples. hop: (N,) hop number of each sample, in ascending order.
     """
     edges = np.searchsorted(hop, np.arange(hops + 1))
     v = np.ascontiguousarray(values.T)
@@ -139,7 +141,8 @@ def _count_axis(
     axis: int,
     figures: tuple[NDArray[Any], ...],
 ) -> None:
-    """Fill the figures of one axis, sample by sample; edges: where each hop begins."""
+    """Fill the statistics of one axis, sample by sample. edges: index of the first sample of each
+    hop."""
     mean, level, steps, ended, longest, runs, top, on_top = figures
     last, run, step = float(carry.last[axis]), int(carry.run[axis]), float(carry.step[axis])
     for h, (begin, end) in enumerate(pairwise(edges)):

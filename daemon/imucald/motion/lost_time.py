@@ -1,9 +1,10 @@
-"""Find lost time of a stream: samples came while the clock of their stamps stood still.
+"""Find lost time of a stream: samples came, but the clock of their time stamps stood still.
 
-Stream time never goes back. If the clock of the stamps is set back a little, stream time stands
-until the stamps have caught up. A rate integrated over stream time misses the rotation during this
-time. Time also stands still for samples that come late or in batches, but then a longer step comes
-before or after. Only time without such a longer step is lost.
+Stream time never goes back. If the clock of the time stamps is set back a little, stream time
+stands still until the time stamps have caught up. A rate that is integrated over stream time misses
+the rotation during this time. Stream time also stands still for samples that come late or in
+batches. In this case, a longer time step comes before or after. Only standing time without such a
+longer step is lost.
 """
 
 from __future__ import annotations
@@ -11,26 +12,26 @@ from __future__ import annotations
 import math
 
 STANDS = 0.25
-"""A step shorter than this share of the sensor's cycle means that time stands."""
+"""Share of the sensor's cycle time below which a time step counts as standing time."""
 TOLERATED_S = 0.05
-"""A loss of less than this [s] and less than `TOLERATED_CYCLES` is not reported: stamps may be late
-by a cycle.
+"""Lost time that is not reported: less than the sum of `TOLERATED_S` [s] and `TOLERATED_CYCLES`
+cycles. Time stamps may be late by a cycle.
 """
 TOLERATED_CYCLES = 1.5
 MADE_UP_S = 1.0
-"""A long step compensates for samples that came together within about this time [s], such as late
-samples.
+"""Time within which a long step compensates for samples that came together, such as late samples
+[s].
 """
 USUAL_SAMPLES = 200
-"""The cycle is the mean step over about this many samples."""
+"""Number of samples over which the cycle time is averaged."""
 MIN_SAMPLES = 100
 """Number of samples after which the cycle is known."""
 LONGEST_CYCLES = 4.0
-"""A longer step counts as this many cycles: a silence is not a cycle."""
+"""Largest step that is used for the mean cycle time, in cycles: a silence is not a cycle."""
 
 
 class LostTime:
-    """Watches the steps of time from sample to sample of one sensor."""
+    """Watches the time steps from sample to sample of one sensor."""
 
     def __init__(self) -> None:
         self._cycle = 0.0
@@ -39,13 +40,15 @@ class LostTime:
         self._passed = 0.0  # what passed over them
         self._ahead = 0.0  # time in excess of the samples, not made up for
         self.skipped = 0.0
-        """Excess of the last step over one sensor cycle per sample [s]; 0.0 for a usual step."""
+        """Excess of the last time step over one sensor cycle per sample [s]; 0.0 for a usual
+        step."""
 
     def take_time_step(self, step: float) -> float:
-        """Take the step of time to a sample [s], not negative; return the time lost before it.
+        """Take the time step to a sample [s], not negative. Returns the lost time before this
+        sample.
 
-        The result is 0.0 nearly always. The loss is known as soon as time moves on; until then see
-        `standing`.
+        The result is nearly always 0.0. A loss is known as soon as stream time moves on. Until
+        then, `standing` gives the loss.
         """
         self.skipped = 0.0
         if step < STANDS * self._cycle:

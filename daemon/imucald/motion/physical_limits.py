@@ -1,9 +1,10 @@
 """Physical limits of sensors and road vehicles, for mount, attitude and motion.
 
-There are three kinds of limits. A number that no sensor of the kind can have measured is
-*impossible*: it is dropped before any use. A motion that no road vehicle makes is *implausible*: a
-fall, a turntable, a wrong unit. A value at the end of the sensor's range is *saturated*: the true
-value lies beyond it. (`inputs.quantities` judges the range that a signal's database states.)
+There are three kinds of limits. A number that no sensor of this kind can measure is *impossible*.
+Impossible numbers are dropped before any use. A motion that no road vehicle makes is *implausible*.
+The cause of an implausible motion may be a fall, a turntable or a wrong unit. A value at the end of
+the sensor's range is *saturated*, because the true value lies beyond the range.
+(`inputs.quantities` checks the range that a signal's database states.)
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ MAX_SAMPLE: Mapping[str, float] = {
     "heading": 100.0,
     "reverse": 1.0,
 }
-"""Largest values of single samples by channel, SI: 5,700 deg/s, 100 g, a hundred times the earth's
-field. The limits also hold for a terminal that a person carries and drops.
+"""Largest possible values of single samples by channel, SI: 5,700 deg/s, 100 g, a hundred times the
+earth's field. The limits also hold for a terminal that a person carries and drops.
 """
 MAX_TICK: tuple[tuple[int, slice, float], ...] = (
     (ACCEL.n, slice(ACCEL.x, ACCEL.z + 1), 400.0),
@@ -40,10 +41,10 @@ MAX_TICK: tuple[tuple[int, slice, float], ...] = (
     (STEERING.n, slice(STEERING.mean, STEERING.mean + 1), 100.0),
     (YAW_RATE.n, slice(YAW_RATE.mean, YAW_RATE.mean + 1), 20.0),
 )
-"""Largest means over a tick in a vehicle. These limits are lower, because a mean evens out shocks.
-
-Each entry has the column of the count, the columns, and the largest size in SI (40 g, 3,400 deg/s,
-540 km/h, 16 turns of the steering wheel).
+"""Largest possible means over a tick in a vehicle. These limits are lower than the limits of
+samples, because a mean reduces shocks. Each entry has the column of the count, the columns of the
+values, and the largest absolute value in SI (40 g, 3,400 deg/s, 540 km/h, 16 turns of the steering
+wheel).
 """
 
 
@@ -56,19 +57,20 @@ def is_plausible(channel: str, values: Sequence[float]) -> bool:
 # implausible on a road ---------------------------------------------------------------------
 
 ROAD_FORCE = (0.5 * GRAVITY, 1.7 * GRAVITY)
-"""Range of the mean specific force of a tick [m/s^2] that the joint estimator uses: gravity,
-with at most 1 g of tyre grip across (a size of 1.41 g) and some of the road's waves.
+"""Range of the mean specific force of a tick [m/s^2] that the joint estimator uses. The range
+contains gravity with up to 1 g of tyre grip across (a size of 1.41 g) and some effect of road
+waves.
 """
 ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)
 """Range of the mean specific force of a tick [m/s^2] that method A uses.
 
-Method A keeps its intervals apart and reduces the weight of outliers by itself. Potholes and kerbs
-are therefore allowed, and only forces that no drive makes are refused.
+Method A reduces the weight of outliers. Forces from potholes and kerbs are therefore allowed. Only
+forces that no drive causes are rejected.
 """
 MAX_ROAD_RATE = 4.0
-"""No road vehicle turns faster [rad/s]: a rollover is quicker, a spin on ice is not."""
+"""Largest turn rate of a road vehicle [rad/s]. A rollover is faster, a spin on ice is not."""
 MAX_ROAD_DVDT = 12.0
-"""No road vehicle changes its speed faster [m/s^2]: tyres grip with some 1 g."""
+"""Largest change of speed of a road vehicle [m/s^2]: the grip of tyres is about 1 g."""
 
 # saturated ---------------------------------------------------------------------------------
 
@@ -76,13 +78,14 @@ NEAR_FULL_SCALE = 0.98
 """Share of the full scale from which a value counts as clipped.
 
 Gain errors of sensors are within 1 % to 2 % (data sheets of automotive accelerometers), so the end
-of the range may be that much lower.
+of the range may be lower by the same percentage.
 """
 
 
 def is_saturated(tick: TickRow, full_scale: float) -> bool:
-    """Return whether any axis of the accelerometer came close to its full scale [m/s^2] in a
-    tick.
+    """Return whether any axis of the accelerometer came close to the full scale in a tick.
+
+    full_scale: [m/s^2].
     """
     limit = NEAR_FULL_SCALE * full_scale
     if limit == math.inf:
@@ -93,8 +96,8 @@ def is_saturated(tick: TickRow, full_scale: float) -> bool:
 
 
 def saturated_axes(rows: Array, full_scale: float) -> Flags:
-    """Return which axes (..., 3) of ticks (..., COLUMNS) came close to the full scale. A rejected
-    sample counts for all axes.
+    """Return flags of the axes (..., 3) that came close to the full scale in ticks (..., COLUMNS).
+    A rejected sample sets the flags of all axes.
     """
     high = rows[..., ACCEL.max_x : ACCEL.max_z + 1]
     low = rows[..., ACCEL.min_x : ACCEL.min_z + 1]

@@ -1,10 +1,10 @@
-"""Evidence for a value at which an axis stays exactly: the end of its range, or the value to which
+"""Evidence for a value at which an axis stays exactly: the end of the range, or the value to which
 a loose contact jumps.
 
-A loose contact jumps to a value, stays exactly on it, and jumps back. The stays of a loose contact
-are shorter than those of a stuck sensor. A run of equal values that noise never makes may also come
-from a sender that repeats a value because the next value is late. Such a value is usual in the
-drive, so the axis does not jump to it and away from it.
+An axis with a loose contact jumps to a value, keeps exactly this value, and jumps back. The time at
+the value is shorter than with a stuck sensor. A sender may also repeat a value because the next
+value is late, which gives a run of equal values that noise never causes. Such repeated values are
+usual values of the drive, so the axis does not jump to them and away from them.
 """
 
 from __future__ import annotations
@@ -23,22 +23,25 @@ from imucald.motion.sensor_judges import Runs, rate_of
 
 LEAST_AT_EXTREME = 5
 PILE = 1.3
-"""An extreme is a rail if it has this many times more samples than the steps below.
+"""Ratio of samples from which an extreme is a rail (end of the range): samples on the extreme to
+samples on each of the two steps below it.
 
-Codes of a converter differ in width by some 30 % (differential nonlinearity of 0.3 LSB).
+The codes of a converter differ in width by about 30 % (differential nonlinearity of 0.3 LSB).
 """
 STAYS_COUNT = 0.5
-"""Weight of each sample in the count, because neighbouring samples are not independent."""
+"""Weight of each sample in the count. It is below 1 because neighbouring samples are not
+independent."""
 MOST_SAMPLES = 512
 
 
 class AxisHops(Struct, frozen=True, dict=True):
-    """Hops of one axis, as many as the rows have.
+    """Statistics of the hops of one axis.
 
-    runs: runs of equal values of the axis. For each hop, how many runs ended before it and the
-    length of the longest. levels, steps: level and step of each hop (H,), as in `HopRows`; entries:
-    of the rows. top_values, top_counts: (2, H), top and on_top as in `HopRows`, first of the upper,
-    then of the lower side. Python lists of these arrays are made when they are first used.
+    runs: for each hop, the number of runs of equal values that ended before the hop, and the length
+    of the longest of these runs. levels, steps: (H,) level and step of each hop, as in `HopRows`.
+    entries: result of `HopRows.entries`. top_values, top_counts: (2, H) top and on_top as in
+    `HopRows`, first the upper side, then the lower side. The lists of these arrays are made when
+    they are first used.
     """
 
     axis: int
@@ -47,12 +50,12 @@ class AxisHops(Struct, frozen=True, dict=True):
     runs: list[tuple[int, int]]
 
     def rate(self, h: int) -> float:
-        """Return the rate of `Pile` as known at hop h."""
+        """Return the rate of `Pile` from the runs before hop h."""
         return rate_of(*self.runs[h])
 
     @cached_property
     def in_rows(self) -> tuple[NDArray[Any], ...]:
-        """top_values, top_counts, steps and levels, each row by row."""
+        """top_values, top_counts, steps and levels as contiguous arrays."""
         of = self.top_values, self.top_counts, self.steps, self.levels
         return tuple(np.ascontiguousarray(one) for one in of)
 
@@ -68,22 +71,23 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @property
     def top_values(self) -> Array:
-        """Tops of each side (2, H)."""
+        """Largest value of each hop, and largest negated value (2, H)."""
         return self.rows.top[:, :, self.axis].T
 
     @property
     def top_counts(self) -> NDArray[np.int64]:
-        """Samples on the tops of each side (2, H)."""
+        """Number of samples with the values of `top_values` (2, H)."""
         return self.rows.on_top[:, :, self.axis].T
 
     @cached_property
     def level(self) -> list[float]:
-        """Mean change of each hop."""
+        """Mean size of the change from sample to sample, for each hop."""
         return _listed(self.levels)
 
     @cached_property
     def entry(self) -> list[float]:
-        """For each hop, see `HopRows.entries`."""
+        """Size of the change at which the run at the end of each hop began, see
+        `HopRows.entries`."""
         return _listed(self.entries[:, self.axis])
 
     @cached_property
@@ -93,7 +97,7 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @cached_property
     def tops(self) -> list[list[float]]:
-        """Tops by side and hop."""
+        """Largest value of each hop, and largest negated value, as lists by side and hop."""
         found: list[list[float]] = self.top_values.tolist()
         return found
 
@@ -104,14 +108,14 @@ def _listed(figures: Array) -> list[float]:
 
 
 class Pile(Struct):
-    """Evidence that a value is a rail.
+    """Evidence that a value is a rail (end of the range).
 
-    rate: -log of the chance that a sample equals the one before [nats], as known before these
-    samples. at_it: samples on the value; stays: how many of them equal the sample before. met: -log
-    of the chance that the arrivals at the value meet in one step [nats]. first, last: first and
-    last hop of driving in which the value was reached. seen: samples, each with the one before it,
-    so that samples that repeat to the last bit count once. before: at_it and stays at the last
-    arrival.
+    rate: -log of the chance that a sample equals the sample before [nats], known from earlier
+    samples. at_it: number of samples with the value. stays: number of these samples that equal the
+    sample before. met: -log of the chance that the axis arrives again and again within the same
+    step [nats]. first, last: first and last hop of driving in which the value was reached. seen:
+    samples, each with the sample before, so that data that repeat to the last bit count once.
+    before: at_it and stays at the last arrival.
     """
 
     rate: float
@@ -125,21 +129,22 @@ class Pile(Struct):
     before: tuple[int, int] = (0, 0)
 
     def is_higher(self, one_below: int, two_below: int) -> bool:
-        """Return whether the value has more samples than a tail would have there, given the samples
-        on the two steps below.
+        """Return whether the value has more samples than the tail of a distribution would have.
+
+        one_below, two_below: number of samples one and two steps below the value.
         """
         return self.at_it >= LEAST_AT_EXTREME and self.at_it > PILE * max(one_below, two_below)
 
     @property
     def surprise(self) -> float:
-        """-log of the chance of all observations [nats]."""
+        """-log of the chance of all observations if the value is not a rail [nats]."""
         return self.met + STAYS_COUNT * more_often(self.stays, self.at_it, self.rate)
 
     def count(self, at: AxisHops, h: int, axis: int, side: int, value: float) -> bool:
-        """Count the new samples of hop h on the value; return whether there are any.
+        """Count the new samples of hop h on the value. Returns whether there are any.
 
-        A sample that was sent twice is not new. side: 0 for the largest value, 1 for the smallest,
-        negated.
+        A sample that was sent twice is not new. side: 0 for the largest value, 1 for the smallest
+        value, which is negated.
         """
         samples, first, stop = at.rows.samples, at.rows.edges[h], at.rows.edges[h + 1]
         sample = value if side == 0 else -value
@@ -159,7 +164,7 @@ class Pile(Struct):
         return self.at_it > at_it
 
     def count_stay_once(self) -> None:
-        """Count all samples since the last arrival as one."""
+        """Count all samples since the last arrival as a single sample."""
         at_it, self.stays = self.before
         self.at_it = min(self.at_it, at_it + 1)
         while len(self.seen) > self.at_it:
@@ -167,10 +172,11 @@ class Pile(Struct):
 
 
 def more_often(stays: int, of: int, rate: float) -> float:
-    """Return -log of the chance of this many stays among the samples, if each sample stays with the
-    chance exp(-rate) [nats].
+    """Return -log of the chance of at least this many stays [nats].
 
-    It is Chernoff's bound of the binomial's tail; 0 if they do not stay more often than that.
+    stays: number of samples that equal the sample before. of: number of all samples. rate: each
+    sample equals the sample before with the chance exp(-rate). The result is Chernoff's bound of
+    the binomial distribution's tail; 0 if the stays are not more frequent than this chance.
     """
     chance = math.exp(-rate)
     share = stays / of if of else 0.0
@@ -181,16 +187,17 @@ def more_often(stays: int, of: int, rate: float) -> float:
 
 
 JUMP = 5.0
-"""A jump is at least this many times the mean of the axis's non-zero changes: four deviations of
-normal changes. (An axis that is coarser than its noise changes seldom, and then by its step.) For
-both ends of the same repeated value this is a chance of 4e-9, with some 1e5 late values in 100 h.
+"""Smallest jump, as a multiple of the mean non-zero change of the axis: four standard deviations of
+normal changes. (An axis that is coarser than its noise changes seldom, and then by its step.) The
+chance that a repeated value begins and ends with such a change is 4e-9. There are about 1e5 late
+values in 100 h.
 """
 MIN_RUN = 3
-"""Shorter runs are ignored, because noise makes them."""
+"""Shortest run of equal values that is used. Noise causes shorter runs."""
 
 
 class LostContact:
-    """Watches one axis, hop by hop."""
+    """Detects a loose contact of one axis, hop by hop."""
 
     def __init__(self) -> None:
         self._open = 0  # samples of the run at the end of the last hop
@@ -208,8 +215,9 @@ class LostContact:
         """Take hop h of an axis.
 
         counts: count, ended, longest and run of the axis, as in `HopRows`. usual: the runs of equal
-        values of this axis so far. Returns whether a value between two jumps ended in the hop after
-        longer than those runs, and whether the hop's longest run must not be learnt from.
+        values of this axis so far. The first result is True if a run between two jumps ended in the
+        hop and was longer than the usual runs. The second result is True if the longest run of the
+        hop must not be used for learning.
         """
         count, ended, longest, run = counts
         found = jumped = False
@@ -226,7 +234,8 @@ class LostContact:
         return found, jumped
 
     def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
-        """Return the longest run between two jumps that ended in the hop [samples]."""
+        """Return the length of the longest run between two jumps that ended in the hop
+        [samples]."""
         first, last = int(rows.edges[h]), int(rows.edges[h + 1])
         values = rows.samples[axis, first:last]
         change = np.abs(np.diff(values, prepend=rows.previous(first)[axis]))

@@ -1,12 +1,14 @@
-"""Rails: values beyond which an axis cannot go, at either end.
+"""Rails: the values at the two ends of an axis's range.
 
-A live axis reaches a largest value by chance once. A rail is reached again and again, and the axis
-stays there. Data that repeat to the last bit, such as a recording in a loop, count once.
+An axis within its range reaches its largest value only once, by chance. A rail is reached again and
+again, and the axis stays there. Data that repeat to the last bit, such as a recording in a loop,
+count once.
 
-For each side of an axis, the values that nothing has exceeded since are stored, from high to low.
-The samples on a value, and one and two steps below it, show whether it is the end of a range. A
-whole recording shows more of a rail than the samples so far: see `recorded_health`. The compiled
-part takes all hops in a row that need no more (`core/kernels/rails.c`); `rail_hops` does the same.
+For each side of an axis, the extremes that no later value has exceeded are stored, from high to
+low. The number of samples on a value, and one and two steps below this value, shows whether the
+value is the end of a range. A whole recording shows more of a rail than the samples so far: see
+`recorded_health`. The compiled code (`core/kernels/rails.c`) processes successive hops up to the
+first hop that needs further tests. `rail_hops` does the same.
 """
 
 from __future__ import annotations
@@ -24,19 +26,22 @@ from imucald.motion.hops import SIDES
 from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
 
 LONG_STAY = 4
-"""Smallest number of samples on a value that is reached for the first time; fewer are ignored."""
+"""Smallest number of samples on a value that is reached for the first time. With fewer samples, the
+value is ignored."""
 TAIL_HOPS = 120
-"""Hops of driving (a minute) whose largest values form the tail of an axis."""
+"""Number of driving hops (a minute) whose largest values form the tail of an axis's
+distribution."""
 REMEMBERED = 64
-"""Largest number of stored values that no later value has exceeded. Each is below the one before
-it, so few are needed."""
+"""Largest number of stored values that no later value has exceeded. Each value is lower than the
+value stored before, so few values are needed."""
 
 
 class Top(Struct):
-    """A value that nothing has exceeded since hop `born`.
+    """A value that no later value has exceeded.
 
-    on: samples on it. one_below, two_below: samples one and two steps below, if they are tops of
-    their hops.
+    born: hop in which the value was reached. on: number of samples on the value. one_below,
+    two_below: number of samples one and two steps below the value, as far as they are the largest
+    values of their hops.
     """
 
     value: float
@@ -47,10 +52,12 @@ class Top(Struct):
 
 
 class TopRows:
-    """The tops of one side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,) are used.
+    """The stored extremes of one side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,)
+    are used.
 
-    The sixth column says whether samples on it are counted (`piles`, by value). recent:
-    (`TAIL_HOPS`,) ring buffer with the tops of the last hops (1,) of driving.
+    The sixth column is 1 if the samples on the value are counted (in `piles`, by value). recent:
+    (`TAIL_HOPS`,) ring buffer with the largest values of the last driving hops. hops: (1,) number
+    of driving hops.
     """
 
     def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
@@ -60,7 +67,7 @@ class TopRows:
 
     @property
     def recent(self) -> Sequence[float]:
-        """Tops of the last hops of driving."""
+        """Largest values of the last driving hops."""
         hops = int(self._hops[0])
         ring: list[float] = self._recent.tolist()
         at = hops % TAIL_HOPS
@@ -68,7 +75,7 @@ class TopRows:
 
     @property
     def newest(self) -> float:
-        """Top of the last hop of driving."""
+        """Largest value of the last driving hop."""
         return self._recent.item((int(self._hops[0]) - 1) % TAIL_HOPS)
 
     def _top(self, k: int) -> Top:
@@ -77,33 +84,33 @@ class TopRows:
 
     @property
     def last(self) -> Top | None:
-        """The lowest top; None before any."""
+        """The lowest stored extreme; None if there is none."""
         depth = int(self._depth[0])
         return self._top(depth - 1) if depth else None
 
     def drop_below(self, value: float) -> None:
-        """Drop the tops below a value that was reached."""
+        """Drop the stored extremes below a value that was reached."""
         _drop_below(self._rows, self._depth, value)
         self.forget_below(value)
 
     def forget_below(self, value: float) -> None:
-        """Stop counting values that a value has exceeded."""
+        """Stop counting the samples on values below this value."""
         for one in [one for one in self.piles if one < value]:
             del self.piles[one]
 
     def below(self, value: float) -> tuple[int, int]:
-        """Return the samples one and two steps below a top."""
+        """Return the number of samples one step and two steps below a stored extreme."""
         top = self._top(int(np.argmax(self._rows[: self._depth[0], 0] == value)))
         return top.one_below, top.two_below
 
     def add_pile(self, top: Top, pile: Pile) -> None:
-        """Begin to count the samples of the lowest top."""
+        """Begin to count the samples on the lowest stored extreme."""
         self.piles[top.value] = pile
         self._rows[self._depth[0] - 1, 5] = 1.0
 
 
 class AxisTops:
-    """The tops of both sides of an axis."""
+    """The stored extremes of both sides of an axis."""
 
     def __init__(self) -> None:
         self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
@@ -123,16 +130,18 @@ class AxisTops:
 
     @property
     def hops(self) -> int:
-        """Number of hops of driving."""
+        """Number of driving hops."""
         return self._hops.item(0)
 
     def take_hops(
         self, at: AxisHops, hops: Index, begin: int, moving: Flags
     ) -> tuple[int, list[Top | None]]:
-        """Take hops from place `begin` on, up to the first whose tops must be weighed.
+        """Take hops from index `begin` on, up to the first hop whose largest values need further
+        tests.
 
-        moving: flags of all hops. Returns the place of that hop and, by side, which tops; or the
-        place of the first hop that was not taken.
+        moving: flags of all hops. Returns the index of this hop and, for each side, the extreme to
+        be tested. If no hop needs further tests, the index is that of the first hop that was not
+        taken.
         """
         kernel: Kernel = rail_hops if compiled.kernels is None else compiled.kernels.rail_hops
         stopped: int = kernel(
@@ -166,7 +175,7 @@ def rail_hops(
     recent: Array,
     found: Array,
 ) -> int:
-    """Do the same as `core/kernels/rails.c`, which documents the arguments."""
+    """Do the same as `core/kernels/rails.c`, where the arguments are documented."""
     found[:] = (0.0,) * SIDES + (-math.inf,) * SIDES + (math.nan,) * SIDES
     weighed, largest, dropped = found.reshape(3, SIDES)
     for k in range(begin, len(hops)):
@@ -201,11 +210,11 @@ def _drop_below(rows: Array, depth: Index, value: float) -> None:
 def _reach(
     rows: Array, depth: Index, value: float, on: float, step: float, hop: int
 ) -> tuple[bool, float]:
-    """Take a value as the latest top of a side; tops that it exceeds are no longer watched.
+    """Take a value as the latest extreme of a side. Stored extremes below this value are dropped.
 
-    on: samples of the hop on it. Returns whether its samples must be weighed, because they stay
-    long or the value was reached before. Also returns the value whose pile was dropped for lack of
-    room, NaN if none.
+    on: number of samples of the hop with this value. The first result is True if the value needs
+    further tests, because many samples have it or it was reached before. The second result is the
+    value whose pile was dropped for lack of room; NaN if there is none.
     """
     n, one_below, two_below, lower = int(depth[0]), 0.0, 0.0, -math.inf
     while n:
@@ -237,41 +246,43 @@ def _reach(
 
 
 LEAST_TAIL_HOPS = 30
-"""Hops of driving after which the tail of an axis is known (15 s)."""
+"""Number of driving hops (15 s) after which the tail of an axis's distribution is known."""
 LEAST_STEPS = 8
-"""A signal with fewer steps from end to end has no tail."""
+"""Smallest range of an axis in steps, from end to end. A signal with a smaller range has no
+tail."""
 SURPRISE = 18.5
-"""A rail is accepted from this -log of the chance of the data without a rail [nats]: 1e-8, with
-some 1e7 hops of driving in 100 h at both ends of six axes.
+"""-log of the chance of the data without a rail, from which a rail is accepted [nats]: a chance of
+1e-8. Six axes with two ends have about 1e7 driving hops in 100 h.
 """
 BOTH_ENDS = 4.0
-"""What the sum of two surprises needs in addition where the range ends at both ends, as x + log(1 +
-x) gives it.
+"""Additional surprise that the sum of two surprises needs if both ends of the range are reached.
+The value follows from x + log(1 + x).
 """
 BROAD = 3
-"""The tail is measured from where it holds this many times the arrivals at the extreme."""
+"""Number of peaks in the tail, as a multiple of the peaks at the extreme. The scale of the tail is
+measured over these peaks."""
 UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
-"""A rail that driving does not reach for `SURPRISE` of its usual pauses is dropped: the chance of
-this on a rail is the same as for its acceptance. The time is at least a minute, from which the tail
-is known, and at most five.
+"""Smallest and largest number of driving hops without contact after which a rail is dropped: one
+minute and five minutes. In between, a rail is dropped after `SURPRISE` times its usual pause. The
+chance that a true rail has so long a pause equals the chance of a false rail. The tail is known
+from a minute.
 """
 USUAL_CHANGE = 4.0
-"""An axis leaves a rail by at most this many times its mean change from sample to sample (three
-deviations of noise); a contact that closes again jumps.
+"""Largest change with which an axis leaves a rail, as a multiple of its mean change from sample to
+sample (three standard deviations of noise). A contact that closes again causes a larger change.
 """
 
 
 class Rail:
     """Decides whether the largest value of one side of an axis is the end of its range.
 
-    Without a rail, it is improbable that the peaks of a tail meet in one step, or that samples stay
-    there while other axes move. On a rail both are usual. Every value that nothing has exceeded
-    since is watched, so that a value reached before the rail existed does not hide it. Only driving
-    counts. The rail is dropped when a value lies beyond it, or when driving no longer reaches it.
-
-    surprise: -log of the chance of the data without a rail [nats]. Only stays that have ended
-    count: an axis that sticks is not a rail, and counts as one arrival when the sticking ends.
-    value: value for which the surprise holds. least: surprise from which the value is a rail.
+    Without a rail, it is improbable that the peaks of a tail fall into the same step, or that
+    samples stay there while other axes move. On a rail, both are usual. Every value that no later
+    value has exceeded is watched, so that a value reached before the rail existed does not hide the
+    rail. Only driving counts. The rail is dropped when a value lies beyond it, or when driving no
+    longer reaches it. surprise: -log of the chance of the data without a rail [nats]. A stay is
+    counted only when it has ended. A stuck axis is not a rail, and its stay counts as one arrival.
+    value: value to which the surprise belongs. least: surprise from which the value is a rail.
     """
 
     def __init__(self, side: int, axis: int, tops: TopRows, least: float) -> None:
@@ -284,11 +295,11 @@ class Rail:
 
     @property
     def last(self) -> float:
-        """Value of the last rail, negated on the lower side; -inf before any."""
+        """Value of the last rail, negated on the lower side; -inf if there was none."""
         return self._rail
 
     def go_on(self, at: AxisHops, h: int, moving: bool) -> None:
-        """Update the rail with hop h: it is dropped if a value lies beyond it."""
+        """Update the rail with hop h. The rail is dropped if a value lies beyond it."""
         value = at.tops[self._side][h]
         if self.found:
             half = 0.5 * at.smallest_change[h]
@@ -309,7 +320,7 @@ class Rail:
 
     @property
     def recent(self) -> Sequence[float]:
-        """Tops of the last hops of driving."""
+        """Largest values of the last driving hops."""
         return self._tops.recent
 
     @property
@@ -319,11 +330,12 @@ class Rail:
 
     @property
     def is_clear(self) -> bool:
-        """True if there is no evidence of a rail, so that a hop's value only needs `reached`."""
+        """True if there is no evidence of a rail. The next hops can then be taken together by
+        `AxisTops.take_hops`."""
         return not (self._changed or self.found) and self.value == math.inf
 
     def stick(self, value: float) -> None:
-        """Note that the axis is stuck at a value: the axis itself stays there, not because of a
+        """Note that the axis is stuck at a value. The stuck axis is the reason for the stay, not a
         rail.
         """
         top = self._tops.last
@@ -333,8 +345,9 @@ class Rail:
     def is_held(self, value: float, left_by: float) -> bool:
         """Return whether a rail holds an axis that was stuck at a value.
 
-        An axis can stick at any value; the end of a range is the largest value of a minute's drive.
-        left_by: present distance of the axis from the value, negative beyond it.
+        An axis can stick at any value, but the end of a range is the largest value of a minute's
+        drive. left_by: present distance of the axis from the value, negative if the axis is beyond
+        the value.
         """
         recent = self.recent
         return len(recent) >= LEAST_TAIL_HOPS and left_by > 0.0 and value >= max(recent)
@@ -357,7 +370,7 @@ class Rail:
         self.surprise, self.value = max(piles, default=(0.0, math.inf))
 
     def on_rail(self, value: float | None = None) -> None:
-        """Set the value of the rail; None: the most likely one."""
+        """Set the value of the rail; None: the most likely value."""
         self.found, self._rail = True, self.value if value is None else value
         self._pauses, self._touches = 0.0, 0
         pile = self._tops.piles.get(self._rail)
@@ -367,8 +380,10 @@ class Rail:
             self._touch(pile.last - pile.first, pile.arrivals - 1)
 
     def _touch(self, pause: int, touches: int = 1) -> None:
-        """Note that the value is reached again, after so many hops of driving with so many
-        arrivals.
+        """Note that the value is reached again.
+
+        pause: number of driving hops since the last arrivals. touches: number of arrivals in this
+        time.
         """
         self._pauses += pause
         self._touches += touches
@@ -386,17 +401,18 @@ class Rail:
         self._tops.piles.clear()
 
     def _is_apart(self, value: float) -> bool:
-        """Return whether a value lies further beyond all other peaks than they lie apart.
+        """Return whether a value is further from all other peaks than these peaks are from each
+        other.
 
-        The end of a range cuts a tail off, so other peaks are close to it. A contact that opens
-        jumps, for example to zero, over values that never come.
+        The end of a range cuts a tail off, so other peaks are close to the end. A contact that
+        opens causes a jump, for example to zero, over values that never occur.
         """
         below = np.sort([peak for peak in self.recent if peak < value])
         n = len(below)
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
     def pile_up(self, top: Top, at: AxisHops, h: int, hop: int) -> None:
-        """Count the samples of hop h that are on its top."""
+        """Count the samples of hop h that have the value `top`."""
         self._changed = True
         pile = self._tops.piles.get(top.value)
         if pile is None:
@@ -416,7 +432,8 @@ class Rail:
                 pile.met += self._coincidence(top, at.smallest_change[h], hop)
 
     def _coincidence(self, top: Top, step: float, hop: int) -> float:
-        """Return -log of the chance that one more peak of the tail meets the same step [nats]."""
+        """Return -log of the chance that one more peak of the tail falls into the same step
+        [nats]."""
         n = min(hop - top.born + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
             return 0.0
@@ -442,13 +459,13 @@ class AxisRails:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Values of the last rails, the upper and the lower; infinite before any."""
+        """Values of the last rails, the upper and the lower; infinite if there was none."""
         return self._high.last, -self._low.last
 
     def take_hop(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
-        """Take hop h, which has samples; return whether the axis is on a rail.
+        """Take hop h, which has samples. Returns whether the axis is on a rail.
 
-        stuck: whether the axis was stuck when the hop began; such a hop says nothing about rails.
+        stuck: True if the axis was stuck when the hop began. Such a hop is no evidence about rails.
         """
         high, low = self._high, self._low
         if stuck:
@@ -467,10 +484,10 @@ class AxisRails:
         return self._weigh(at, h, high.changed, low.changed)
 
     def take_hops(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
-        """Do the same as `take_hop` for hops with samples in none of which the axis is stuck.
+        """Do the same as `take_hop` for hops with samples, if the axis is stuck in none of them.
 
-        moving: (H,) flags of all hops of the rows. Most hops lie below values that were reached
-        before.
+        moving: (H,) flags of all hops of the rows. This function is fast if the values of most hops
+        are below values that were reached before.
         """
         high, low = self._high, self._low
         moves: list[bool] = moving.tolist()
@@ -493,7 +510,7 @@ class AxisRails:
         return found
 
     def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
-        """Count the samples of hop h, a hop of driving, that are on its tops."""
+        """Count the samples of hop h, a driving hop, that have the values `tops`."""
         for rail, top in zip((self._high, self._low), tops, strict=True):
             if top is not None:
                 rail.pile_up(top, at, h, self._tops.hops - 1)
@@ -501,7 +518,7 @@ class AxisRails:
     def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
         """Return whether the axis is on a rail after hop h.
 
-        is_high, is_low: the sides that must be weighed again.
+        is_high, is_low: True for a side that must be tested again.
         """
         high, low = self._high, self._low
         if (is_high or is_low) and self._has_tail(at.smallest_change[h]):

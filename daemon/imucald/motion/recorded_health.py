@@ -1,8 +1,8 @@
-"""Stuck and clipped samples of a whole recording, by the judges that watch a sensor while driving.
+"""Stuck and clipped samples of a whole recording, found with the tests that watch a sensor while
+driving.
 
-A recording shows more than the hops so far: where a run that turned out to be stuck began, all
-samples on a value that turned out to be the end of the range, and how the values below it are
-distributed.
+A whole recording shows where a stuck run began, all samples on the end of the range, and the
+distribution of the values below the end of the range.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from imucald.motion.ticks import TICK_RATE
 class RecordedHealth(Struct, frozen=True):
     """Faulty samples of a sensor.
 
-    stuck, on_rail: (N,) whether all axes of the sample repeat their values, and whether any is at
-    the end of its range. ends: those ends, in the order of the axes, the upper before the lower.
+    stuck: (N,) True if all axes of the sample repeat their values. on_rail: (N,) True if any axis
+    of the sample is at the end of its range. ends: the ends of the ranges that were found, in the
+    order of the axes, the upper end before the lower end.
     """
 
     stuck: Flags
@@ -36,10 +37,11 @@ class RecordedHealth(Struct, frozen=True):
 def recorded_health(
     channel: str, t: Array, values: Array, speed: tuple[Array, Array], chance: float
 ) -> RecordedHealth:
-    """Judge all samples of a sensor: t (N,) [s], values (N,) or (N, axes), N > 0, SI.
+    """Find the faults of all samples of a sensor. t: (N,) [s]. values: (N,) or (N, axes), N > 0,
+    SI.
 
-    speed: times and values of the vehicle's speed [s, m/s]. chance: of any false finding among all
-    axes and hops of the recording.
+    speed: times [s] and values [m/s] of the vehicle's speed. chance: accepted probability of one
+    false finding among all axes and hops of the recording.
     """
     table = values.reshape(len(t), -1)
     hop = np.floor(t * TICK_RATE).astype(np.int64) // HOP_TICKS
@@ -84,32 +86,36 @@ def recorded_health(
 
 
 def _runs_at(x: Array, places: Index) -> Flags:
-    """Return which values (N,) belong to a run of equal values that holds one of these places."""
+    """Return which values (N,) belong to a run of equal values that contains one of these
+    places."""
     run = np.cumsum(np.diff(x, prepend=x[0]) != 0.0)
     return np.isin(run, run[places])
 
 
 def _beside(x: Array, end: float, step: float) -> tuple[int, int]:
-    """Return how many values (N,) are one step and two steps before the end of them."""
+    """Return the number of values (N,) one step and two steps before the end of the range."""
     away = np.abs(x - end) / step
     one, two = (np.count_nonzero(np.abs(away - k) < 0.5) for k in (1.0, 2.0))
     return int(one), int(two)
 
 
 def _is_full(x: Array, end: float, step: float) -> bool:
-    """Return whether the end of values (N,) holds as many of them as each of two steps before it.
+    """Return whether at least as many values (N,) are at the end as on each of the two steps before
+    the end.
 
-    A rail holds what would lie beyond it. An axis of a vector of constant length is often near its
-    largest value, and has no rail there.
+    All values that would lie beyond a rail are on the rail. An axis of a vector of constant length
+    is often near its largest value, although there is no rail.
     """
     return bool(PILE * np.count_nonzero(x == end) > max(_beside(x, end, step)))
 
 
 def _is_crowded(x: Array, end: float, step: float, surprise: float) -> bool:
-    """Return whether values (N,) come to their end too often, next to the two steps before it.
+    """Return whether values (N,) reach their end too often, compared with the two steps before the
+    end.
 
-    Stays count once, because a slow signal stays at any value. A jump to the end does not count: an
-    axis comes to a rail by its usual changes, and a spike of a sender or a contact does not.
+    A stay counts once, because a slow signal stays at any value. An axis reaches a rail with its
+    usual changes. A jump to the end therefore does not count, because it comes from a sender's
+    spike or a loose contact.
     """
     here, change = x == end, np.abs(np.diff(x))
     is_usual = change <= USUAL_CHANGE * change.sum() / max(np.count_nonzero(change), 1)

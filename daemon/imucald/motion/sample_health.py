@@ -1,8 +1,8 @@
-"""Decide from every sample which sensors are usable, for sending and for learning.
+"""Decide, with every sample, which sensors are usable for sending and for learning.
 
-`SampleHealth` uses hops of half a second (`hops`), live and by columns, with bit-equal results. A
-fault counts from the end of the hop in which it was found until the sensor has had no fault for a
-while (`signal_health`).
+`SampleHealth` uses hops of half a second (`hops`). Live operation and columns give bit-equal
+results. A fault begins at the end of the hop in which it was found. The fault ends when the sensor
+has had no fault for `signal_health.SOUND_S`.
 """
 
 from __future__ import annotations
@@ -38,27 +38,29 @@ from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
 SPEED_HOPS = 6
-"""Hops for which a received speed counts as known (3 s): for sources of one sample per second, with
-two lost.
+"""Number of hops (3 s) for which a received speed counts as known. 3 s are enough for a source of
+one sample per second that loses two samples.
 """
 BRAKING = 4.0
-"""A vehicle may have braked with up to this [m/s^2] since its speed was last received."""
+"""Largest assumed braking of the vehicle since its speed was last received [m/s^2]."""
 NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 """Noise densities of consumer sensors per root of hertz: 180 ug, 0.007 deg/s (BMI160 data sheet),
-and 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset). The value of 0.08 uT used
-here for the field is below that of the data sheet.
+and 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset). For the magnetic field, the
+value used here is lower than the value of the data sheet: 0.08 uT.
 """
 WATCHED = ("accel", "gyro", "mag")
 AXES = "xyz"
 _UNITS = {"gyro": DEG_PER_RAD}
 
 _More = tuple[Array, NDArray[np.int64]]
-"""Samples and their hops."""
+"""Samples and the hop of each sample."""
 
 
 class AxisJudges:
-    """The judges of one axis. noise: see `StuckAxis`. surprises: -log of the chance of a stuck run
-    and of a rail without a fault [nats].
+    """The tests of one axis for faults.
+
+    noise: see `StuckAxis`. surprises: two limits of -log of the chance of the data without a fault
+    [nats], the first for a stuck run, the second for a rail.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class AxisJudges:
         self.forget_rails()
 
     def forget_rails(self) -> None:
-        """Forget all evidence so far for the ends of the range."""
+        """Forget all evidence so far about the ends of the range."""
         self.rails = AxisRails(self._axis, self._surprise)
 
     def restart(self) -> None:
@@ -82,8 +84,11 @@ class AxisJudges:
     def judge(
         self, rows: HopRows, entries: Array, moving: Flags
     ) -> tuple[list[bool], list[bool], list[bool]]:
-        """Return three flags for each hop: the axis is stuck at its end, a value between two jumps
-        ended in it, and the axis is on a rail at its end. All are False without samples.
+        """Return three flags for each hop.
+
+        The first flag is True if the axis is stuck at the end of the hop. The second flag is True
+        if a run between two jumps ended in the hop. The third flag is True if the axis is on a rail
+        at the end of the hop. All flags of a hop without samples are False.
         """
         axis, judge, rails, contact = self._axis, self.stuck, self.rails, self.contact
         counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
@@ -111,7 +116,8 @@ class AxisJudges:
 
 
 class _Sensor(FaultsInForce):
-    """One sensor: its samples of the open hop, its judges, and the faults that they found."""
+    """One sensor: its samples of the open hop, the tests of its axes, and the faults that were
+    found."""
 
     def __init__(self, channel: str, axes: int, events: deque[FaultEvent]) -> None:
         super().__init__(channel, events)
@@ -131,8 +137,10 @@ class _Sensor(FaultsInForce):
             self._unit.restart()
 
     def rows(self, hops: int, more: _More | None) -> HopRows | None:
-        """Return the figures of this many hops, from pending samples, which are in the first hop,
-        and new ones.
+        """Return the statistics of this many hops, or None without samples.
+
+        The samples are the pending samples, which belong to the first hop, and the new samples
+        `more`.
         """
         pending, self.pending = self.pending, []
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
@@ -175,7 +183,7 @@ class _Sensor(FaultsInForce):
 class SampleHealth:
     """Watches the sensors of one unit.
 
-    axes: how many axes of each channel are measured (a planar accelerometer has two).
+    axes: number of measured axes of each channel (a planar accelerometer has two).
     """
 
     def __init__(self, axes: Mapping[str, int]) -> None:
@@ -185,9 +193,9 @@ class SampleHealth:
         self._moved = False
         self._heard: float | None = None
         self.faults: Mapping[str, Faults] = {}
-        """For each channel, the faults of sensors that are not fit to be used now."""
+        """Present faults of each channel whose sensor cannot be used now."""
         self.signals: Mapping[str, Faults] = {}
-        """The present faults of the vehicle's signals, which the estimator judges block by
+        """Present faults of the vehicle's signals. The estimator tests these signals block by
         block."""
         self._signals: dict[str, FaultsInForce] = {}
         self._signals_at = 0.0
@@ -198,9 +206,9 @@ class SampleHealth:
         """Continue from another object: take over its present faults and the usual behaviour of
         each sensor.
 
-        same: channels that come from the same sources. The other channels start without knowledge,
-        and their faults end. now: stream time [s]. with_signals: if False, the faults of the
-        vehicle's signals end too, because nothing judges them any more.
+        same: channels with the same sources in both objects. The other channels start without
+        knowledge, and their faults end. now: stream time [s]. with_signals: if False, the faults of
+        the vehicle's signals end too, because no estimator tests the signals any more.
         """
         self.events = former.events
         for channel, sensor in self._sensors.items():
@@ -224,7 +232,7 @@ class SampleHealth:
     # live ----------------------------------------------------------------------------------
 
     def add_sample(self, channel: str, values: Sequence[float]) -> None:
-        """Take a sample of the open hop, as the sensor gave it."""
+        """Take a sample of the open hop, as the sensor sent it."""
         sensor = self._sensors.get(channel)
         if sensor is not None:
             sensor.pending.append(values)
@@ -238,13 +246,13 @@ class SampleHealth:
             self._heard = None
 
     def forget_rails(self) -> None:
-        """Forget all evidence so far for the ends of the axes' ranges."""
+        """Forget all evidence so far about the ends of the axes' ranges."""
         for sensor in self._sensors.values():
             for judge in sensor.judges:
                 judge.forget_rails()
 
     def gap(self) -> None:
-        """Note a jump of time: earlier samples are not joined with later ones."""
+        """Note a jump of time: samples before the jump are not joined with samples after it."""
         for sensor in self._sensors.values():
             sensor.restart()
         self._speed_age, self._moved, self._heard = SPEED_HOPS, False, None
@@ -252,7 +260,7 @@ class SampleHealth:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, samples: Samples, first: int, last: int) -> list[Mapping[str, Faults]]:
-        """Take all samples of ticks `first` to `last`; tick `last` may get more samples.
+        """Take all samples of ticks `first` to `last`. Tick `last` may get more samples later.
 
         Returns the faults at the end of each complete hop (half a second).
         """
@@ -285,11 +293,11 @@ class SampleHealth:
     def _take(
         self, speeds: Sequence[float | None], first: int, more: Mapping[str, _More]
     ) -> list[Mapping[str, Faults]]:
-        """Judge hops `first`, `first` + 1, ..., one for each of the speeds that were last received
-        in them.
+        """Find the faults in hops `first`, `first` + 1, and so on.
 
-        more: samples of channels with their hops, counted from `first`, to use after the pending
-        ones.
+        speeds: last received speed of each hop [m/s], None without a speed; there are as many hops
+        as speeds. more: samples of channels with their hops, counted from `first`. The samples in
+        `more` are used after the pending samples.
         """
         moves = [self._is_moving(speed) for speed in speeds]
         moving = np.array(moves)
@@ -323,13 +331,12 @@ class SampleHealth:
 
     @property
     def unfit(self) -> Mapping[str, Faults]:
-        """For each channel, the faults of all sensors and signals that are not fit to be used
-        now.
-        """
+        """For each channel, the faults of all sensors and signals that cannot be used now."""
         return {**self.faults, **self.signals} if self.signals else self.faults
 
     def take_signals(self, stuck: Mapping[str, bool], now: float) -> None:
-        """Take, for each vehicle signal, whether it was stuck in the block that ends now [s]."""
+        """Take a flag for each vehicle signal: whether it was stuck in the block that ends at `now`
+        [s]."""
         passed, self._signals_at = now - self._signals_at, now
         for channel, is_stuck in stuck.items():
             signal = self._signals.setdefault(channel, FaultsInForce(channel, self.events))
@@ -358,8 +365,8 @@ class SampleHealth:
 
 
 def _change_of_all(rows: HopRows) -> Array:
-    """Return the mean change of the vector from sample to sample, and the number of changes of the
-    busiest axis (H, 2).
+    """Return two columns (H, 2): the mean change of the vector from sample to sample, and the
+    number of changes of the axis that changes most often.
     """
     level = np.sqrt((rows.level * rows.level).sum(axis=1))
     return np.column_stack([level, rows.ended.max(axis=1)])

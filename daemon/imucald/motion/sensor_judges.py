@@ -1,7 +1,7 @@
-"""Judges of a sensor's samples: one judge for each kind of fault, hop by hop.
+"""Tests of a sensor's samples: one test for each kind of fault, hop by hop.
 
-Each judge learns the usual behaviour from the sensor itself. A judge says whether the fault is
-there now; `sample_health` decides how long the fault lasts.
+Each test learns the usual behaviour from the sensor itself. A test decides whether the fault is
+present now. `sample_health` decides how long the fault lasts.
 """
 
 from __future__ import annotations
@@ -18,73 +18,74 @@ from imucald.motion.physical_limits import ROAD_FORCE
 Counts = NDArray[np.int64]
 
 SURPRISE = 25.0
-"""A fault is accepted from this -log of the chance of the data without a fault [nats]: 1e-11, with
-some 1e8 runs of six axes in 100 h.
+"""-log of the chance of the data without a fault, from which a fault is accepted [nats]: a chance
+of 1e-11. Six axes have about 1e8 runs in 100 h.
 """
 SHORTEST_HOPS = 2
-"""Shortest stuck run in whole hops (1 s), because senders repeat a value that is late."""
+"""Shortest stuck run in whole hops (1 s). Senders repeat a value if the next value is late."""
 MIN_RUNS = 50
-"""Number of runs after which their lengths are known."""
+"""Number of runs after which the usual length of runs is known."""
 LEAST_TIMES = 3.0
-"""A stuck run is at least this many times longer than the longest run before, for any number of
-runs. If the step of an axis is coarser than its noise, its runs last as long as its motion is
-small. On a straight road the runs are longer than in town. The factor allows the scale to grow to
-three times.
+"""Smallest ratio of a stuck run to the longest run before, for any number of runs. If the step of
+an axis is coarser than its noise, its runs last as long as its motion is small. On a straight road
+the runs are longer than in town. With this factor, the usual length may grow to three times its
+value.
 """
 FINE_STEP = 0.6
-"""At rest an axis is judged only if its step is at most this share of the noise. The margin allows
-a sensor that is 1.7 times quieter.
+"""Largest ratio of step to noise at which an axis is tested at rest. The margin allows a sensor
+with 1.7 times less noise.
 """
 DEAD_HOPS = 40
-"""An axis that never changed is dead after this many hops of driving (20 s): no road is so smooth,
-whatever the step of the sensor.
+"""Number of driving hops (20 s) after which an axis that never changed is dead. With any step size,
+no road is smooth enough for that.
 """
 FORCE_HOPS = 2
-"""Hops in which the mean force must differ from gravity (1 s)."""
+"""Number of hops (1 s) in which the mean force must differ from gravity."""
 MAX_RATE = math.radians(150.0)
 RATE_HOPS = 3
-"""Hops in which the rate must be impossible for a road vehicle (1.5 s): that is over half a
-turn.
+"""Number of hops (1.5 s) in which the rate must be impossible for a road vehicle. At such a rate,
+this is more than half a turn.
 """
 UNIT_HOPS = 5
-"""Two hops are compared with two earlier hops. The unit may have changed in the hop between
-them."""
+"""Number of hops in a comparison. Two hops are compared with two earlier hops, and the unit may
+have changed in the hop between them."""
 UNIT_LEEWAY = 2.2
-"""Possible error of the noise of a second, as a factor: 1.3 with 10 samples, and the effect of the
-road.
+"""Tolerance of the noise measured in a second, as a factor: a factor of 1.3 with 10 samples, and
+the effect of the road.
 """
 UNIT_CHANGES = 8
-"""Number of changes of the axis after which a second's noise is known, to a factor of 1.4.
+"""Number of changes of an axis after which its noise in a second is known to a factor of 1.4.
 
-An axis that is coarser than its noise, or that comes seldom, has few changes, and their number is
-random.
+An axis that is coarser than its noise, or whose samples are seldom, has few changes, and their
+number is random.
 """
 OTHER_CHANGE = 4.0
-"""If the other sensor changes by this factor too, the road became rough and the unit is the
-same.
+"""Factor by which the other sensor changes if the road became rough. The unit is then the same as
+before.
 """
 SOME_CHANGES = 3
 """Smallest number of changes of an axis that became quieter. A single change comes from a sender
 that had stopped.
 """
 USUAL_HOPS = 20
-"""Hops of driving (10 s) whose mean noise identifies a unit.
+"""Number of driving hops (10 s) whose mean noise identifies a unit.
 
-One road is up to four times as rough as another, and half way to the nearest unit is a ratio of
+Roads differ in roughness by a factor of up to four. The middle between two units is at a factor of
 7.6.
 """
 
 
 class Runs:
-    """Lengths of the runs of equal values that ended by themselves."""
+    """Lengths of the runs of equal values that have ended."""
 
     def __init__(self) -> None:
         self.count = self.longest = self._samples = 0
 
     def add_runs(self, count: int, longest: int, samples: int) -> None:
-        """Take a number of runs that ended, the longest of them, and all samples in them.
+        """Take a number of runs that ended, the length of the longest of them, and the number of
+        their samples.
 
-        A sensor's first sample ends an empty run, which does not count.
+        A sensor's first sample ends an empty run. An empty run does not count.
         """
         if not samples:
             return
@@ -95,12 +96,12 @@ class Runs:
 
     def rate(self) -> float:
         """Return -log of the chance that a run continues for one more sample [nats]; 0: not
-        known.
-        """
+        known."""
         return rate_of(self.count, self.longest)
 
     def limit(self, surprise: float = SURPRISE) -> float:
-        """Return the length [samples] above which a run is stuck, by that -log of its chance."""
+        """Return the length [samples] above which a run is stuck. surprise: -log of the chance of a
+        run of this length [nats]."""
         rate = self.rate()
         if rate == 0.0:
             return math.inf
@@ -112,20 +113,20 @@ class Runs:
 def rate_of(count: int, longest: int) -> float:
     """Return the rate of `Runs` from the number of ended runs and the longest.
 
-    The lengths of noise runs are distributed exponentially. The longest of N is near log N times
-    their scale.
+    The lengths of runs caused by noise have an exponential distribution. The longest of N runs is
+    near log N times the scale of this distribution.
     """
     return 0.0 if count < MIN_RUNS else math.log(count) / max(longest, 1)
 
 
 class StuckAxis:
-    """Judges whether an axis repeats the same value.
+    """Tests whether an axis repeats the same value.
 
     A run of equal values is compared with earlier runs, at rest and in motion separately. At rest
-    only the sensor's noise changes a value, because an engine that stops removes the rest. Only an
-    axis whose step is finer than that noise is judged there. noise: that of a usual sensor of the
-    kind, in SI units per root of hertz; 0: not judged at rest. surprise: -log of the chance of a
-    stuck run without a fault [nats].
+    with the engine off, only the sensor's noise changes a value. At rest, the test therefore needs
+    an axis whose step is finer than its noise. noise: noise of a usual sensor of this kind, in SI
+    units per root of hertz; 0: no test at rest. surprise: -log of the chance of a stuck run without
+    a fault [nats].
     """
 
     def __init__(self, noise: float, surprise: float = SURPRISE) -> None:
@@ -142,13 +143,13 @@ class StuckAxis:
         self._rested = False
 
     def usual(self, moving: bool) -> Runs:
-        """Return the runs that have ended so far, in motion or at rest."""
+        """Return the statistics of the runs that have ended so far, in motion or at rest."""
         return self.moving if moving else self._resting
 
     def take_hop(
         self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool
     ) -> bool:
-        """Take a hop; return whether the axis is stuck at its end.
+        """Take a hop. Returns whether the axis is stuck at the end of the hop.
 
         runs, q: count, ended, longest, run and step of the axis, as in `HopRows`. jumped: the
         longest run lies between jumps and is not usual.
@@ -197,7 +198,8 @@ class Lasting:
         self._hops, self._run = hops, 0
 
     def take_hops(self, flags: Flags) -> Flags:
-        """Take hops (H,); return where the condition has lasted long enough."""
+        """Take hops (H,). Returns flags of the hops at which the condition has lasted long
+        enough."""
         if not flags.any():
             self._run = 0
             return flags
@@ -209,14 +211,14 @@ class Lasting:
 
 
 def unlike_gravity(mean: Array) -> Flags:
-    """Return whether mean forces (H, 3) have a size that no drive has for long (H,)."""
+    """Return flags (H,) of the mean forces (H, 3) whose size no drive keeps for long."""
     low, high = ROAD_FORCE
     size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
     return np.asarray((size2 < low * low) | (size2 > high * high))
 
 
 def turning_wildly(mean: Array) -> Flags:
-    """Return whether mean rates (H, 3) have a size that no vehicle has for long (H,)."""
+    """Return flags (H,) of the mean rates (H, 3) whose size no vehicle keeps for long."""
     size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
     return np.asarray(size2 > MAX_RATE * MAX_RATE)
 
@@ -224,10 +226,10 @@ def turning_wildly(mean: Array) -> Flags:
 class UnitChange:
     """Detects that all axes have become noisier, or quieter, by the factor between two units.
 
-    factor: that factor, such as 57.3 of deg/s for rad/s. The other sensor also feels a motion of
-    the vehicle, but not a change of unit. The fault lasts until the opposite change is seen, or
-    until the noise of driving is as before. A sensor that was only taken into a hand still has its
-    unit.
+    factor: ratio of the two units, such as 57.3 between deg/s and rad/s. The other sensor also
+    measures a motion of the vehicle, but it does not measure a change of unit. The fault lasts
+    until the opposite change is seen, or until the noise of driving is as before. The noise of
+    driving shows whether a sensor was only held in a hand: its unit is then unchanged.
     """
 
     def __init__(self, factor: float, axes: int) -> None:
@@ -240,14 +242,15 @@ class UnitChange:
         self.restart()
 
     def restart(self) -> None:
-        """Restart after a jump of time: nothing is compared across it."""
+        """Restart after a jump of time: no comparison extends across the jump."""
         self._before = tuple(np.zeros((UNIT_HOPS - 1, n)) for n in (self._axes, self._axes, 2, 1))
 
     def take_hops(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
         """Take the mean changes from sample to sample of hops (H, axes), and the number of changes.
 
-        other: (H, 2) both figures of the other sensor, 0 if there is none. moving: (H,) whether
-        the vehicle moved during the whole hop. Returns whether the unit differs from the first one.
+        other: (H, 2) mean change and number of changes of the other sensor, 0 if there is no other
+        sensor. moving: (H,) True if the vehicle moved during the whole hop. Returns flags (H,):
+        whether the unit differs from the first unit.
         """
         sizes = [
             sum(row) if moves else 0.0
@@ -287,8 +290,8 @@ class UnitChange:
         return out
 
     def _hold_against_usual(self, size: float) -> None:
-        """Take the noise of a hop of driving, or 0; return whether it looks like that of another
-        unit.
+        """Take the noise of a driving hop, or 0 for a hop without driving. End the fault if the
+        noise is again as before.
         """
         if not self._changed:
             self._usual.add_size(size)
@@ -309,31 +312,31 @@ class _MeanLog:
         self.count, self.mean = 0, 0.0
 
     def add_size(self, size: float) -> None:
-        """Take a size; 0 is ignored."""
+        """Take a size. A size of 0 is ignored."""
         if size > 0.0:
             self.count += 1
             self.mean += (math.log(size) - self.mean) / self.count
 
 
 def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
-    """Return whether every axis changed often enough in two hops and in two later ones, with one
-    hop between.
+    """Return two flags for each hop: whether every axis changed often enough in two hops, and in
+    two later hops. There is one hop between the two pairs.
     """
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
     return np.all(early >= least, axis=1), np.all(late >= least, axis=1)
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
-    """Return the smallest and largest flag of every five hops: both are 1 if the vehicle moved in
-    all of them.
+    """Return the smallest and largest flag of every five hops. Both flags are 1 if the vehicle
+    moved in all five hops.
     """
     five = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
     return five.min(axis=1), five.max(axis=1)
 
 
 def _ratio(level: Array) -> Array:
-    """Return the ratio of two hops to two earlier ones, with one hop between; 0 if there is no
-    level.
+    """Return the ratio of two hops to two earlier hops, with one hop between the pairs; 0 if the
+    earlier level is 0.
     """
     early = level[:-4] + level[1:-3]
     late = level[3:-1] + level[4:]

@@ -1,10 +1,10 @@
 """Signal health for all users: untrusted ticks of each signal, and the reasons.
 
-`SignalHealth` takes block after block of ticks, online and pure. Every fault is found by signal
-and, where an axis can fail alone, by axis. Estimators do not use a tick with any fault; reports
-read `found`. `physical_limits` and `stuck` define each fault with its limits. The ticks of every
-fault are counted. A flagged tick is not used; knowledge from earlier ticks stays. `FaultsInForce`
-decides how long a fault that was seen lasts.
+`SignalHealth` takes block after block of ticks. It runs online, without I/O and without a clock.
+Every fault belongs to a signal and, if an axis can fail alone, to an axis. Estimators do not use a
+tick with any fault. Reports read `found`. `physical_limits` and `stuck` define each fault with its
+limits. The ticks of every fault are counted. Knowledge from ticks before a fault is kept.
+`FaultsInForce` decides how long a fault lasts.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ from imucald.motion.stuck import (
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, WHEEL_SPREAD, YAW_RATE
 
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
-"""Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
+"""Allowed difference between wheel speeds in addition to the effect of a curve: a constant [m/s]
+and a share of the speed."""
 CURVE_SHARE = 1.5
-"""In a curve, wheel speeds may differ by this factor times track times yaw rate."""
+"""Allowed difference between wheel speeds in a curve, as a multiple of track times yaw rate."""
 
 
 class SignalFault(enum.StrEnum):
@@ -63,25 +64,26 @@ HOLD_TICKS: Mapping[SignalFault, int] = {
     SignalFault.WHEEL_SLIP: 10,
     SignalFault.SPEED_JUMP: 10,
 }
-"""Numbers of ticks around a fault that are not used either, in the order in which faults are
-counted.
+"""Numbers of ticks before and after a faulty tick that are not used either. The order is the order
+in which faults are counted.
 """
 
 _LIMITED = [
     (i, most, count) for count, part, most in MAX_TICK for i in range(part.start, part.stop)
 ]
 _COLUMNS, _MOST, _COUNTS = (np.array(one) for one in zip(*_LIMITED, strict=True))
-"""Columns of a tick with a largest allowed size, those sizes, and the columns of their counts."""
+"""Columns of a tick with a largest allowed value, these largest values, and the columns of the
+sample counts."""
 
 _SIGNALS = {
     ACCEL.n: "accel", GYRO.n: "gyro", SPEED.n: "speed", STEERING.n: "steering",
     YAW_RATE.n: "yaw_rate",
 }  # fmt: skip
-"""Signal names by the column of a tick's count."""
+"""Name of the signal for each column of a sample count."""
 
 
 def spread_out(flags: Flags, ticks: int) -> Flags:
-    """Return the flags widened by that many ticks to both sides."""
+    """Return the flags, extended by this number of ticks to both sides."""
     out = flags.copy()
     for i in np.flatnonzero(flags):
         out[max(0, i - ticks) : i + ticks + 1] = True
@@ -89,8 +91,8 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
 
 
 def slope(values: Array) -> Array:
-    """Return the slope of ticks (..., N) as numpy.gradient does, which takes six times as long
-    [1/s].
+    """Return the slope of ticks (..., N) [1/s]. `numpy.gradient` gives the same result and takes
+    six times as long.
     """
     out = np.empty_like(values)
     out[..., 1:-1] = (values[..., 2:] - values[..., :-2]) / (2.0 * TICK_S)
@@ -102,9 +104,10 @@ def slope(values: Array) -> Array:
 class SignalHealth:
     """Watches the signals of one vehicle and one sensor.
 
-    full_scale: full scale of the accelerometer [m/s^2]; track: between left and right wheels [m].
-    new: rows of a call that no earlier call had; these are counted. found: for the last block, by
-    signal and fault, the ticks (N,), or (N, axes), with the fault; absent where there are none.
+    new: rows of a call that no earlier call contained. Only these rows are counted. full_scale:
+    full scale of the accelerometer [m/s^2]. track: distance between left and right wheels [m].
+    found: flags of the faulty ticks (N,), or (N, axes), in the last block, by signal and fault. A
+    fault without ticks may be absent.
     """
 
     def __init__(self, new: slice, full_scale: float = math.inf, track: float = 1.55) -> None:
@@ -119,21 +122,21 @@ class SignalHealth:
             "yaw_rate": StuckSignal(YAW_RATE.n, YAW_RATE.mean, SAME),
         }
         self.counts: Counter[tuple[str, SignalFault]] = Counter()
-        """Ticks with a fault, by signal and fault."""
+        """Number of ticks with a fault, by signal and fault."""
         self.found: dict[tuple[str, SignalFault], Flags] = {}
         self.stuck_now: dict[str, bool] = {}
-        """For each judged vehicle signal, whether any new tick of the last call was stuck."""
+        """True or False for each judged vehicle signal: whether any new tick of the last call was
+        stuck."""
 
     def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
-        """Take over what another object has learnt about these channels: how long they keep a
-        value.
-        """
+        """Take over the usual repeat times of these channels from another object."""
         for channel, signal in self._signals.items():
             if channel in channels:
                 signal.take_usual(former._signals[channel])
 
     def restart(self) -> None:
-        """Restart after a jump of time: later ticks are not compared with earlier ones."""
+        """Restart after a jump of time: ticks after the jump are not compared with ticks before
+        it."""
         for sensor in self._sensors.values():
             sensor.restart()
         for signal in self._signals.values():
@@ -142,14 +145,12 @@ class SignalHealth:
 
     @staticmethod
     def is_possible(rows: Array) -> bool:
-        """Return whether ticks (N, COLUMNS) hold no impossible number, as is nearly always the
-        case.
-        """
+        """Return whether ticks (N, COLUMNS) contain no impossible number."""
         sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
         return bool(((sizes <= _MOST) | (counts == 0)).all())
 
     def drop_impossible(self, rows: Array) -> None:
-        """Empty, in place, the sensors of new ticks that hold an impossible number or NaN."""
+        """Remove, in place, the sensors of new ticks that contain an impossible number or NaN."""
         if self.is_possible(rows):
             return
         for count, columns, largest in MAX_TICK:
@@ -177,8 +178,8 @@ class SignalHealth:
     def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
         """Return the ticks (N,) at which the yaw rate is stuck.
 
-        turning: (N,) yaw rate from another signal [rad/s]. driving: (N,) ticks where that rate is
-        known and the vehicle drives.
+        turning: (N,) yaw rate from another signal [rad/s]. driving: (N,) flags of the ticks in
+        which the vehicle drives and `turning` is known.
         """
         leaving, witness = self._new.stop - self._new.start, by_turning(turning, driving)
         flags = self._signals["yaw_rate"].flags(rows, driving, leaving, witness)
@@ -186,17 +187,16 @@ class SignalHealth:
         return self._note_stuck("yaw_rate", flags)
 
     def sensor_moves(self, signal: str) -> None:
-        """Take new ticks in which "accel" or "gyro" never repeats its mean and is therefore not
-        stuck.
-        """
+        """Take new ticks in which "accel" or "gyro" is not stuck, because its mean never
+        repeats."""
         self._sensors[signal].restart()
         self.found.pop((signal, SignalFault.STUCK), None)
 
     def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
-        """Take new ticks in which "speed" or "yaw_rate" is not stuck; return False if it must be
-        judged.
+        """Take new ticks in which "speed" or "yaw_rate" has short runs only. Returns False if
+        `flags` must test them.
 
-        For the arguments see `StuckSignal.take_short_runs`. No speed may be zero.
+        The arguments are those of `StuckSignal.take_short_runs`. No speed may be zero.
         """
         if not self._signals[signal].take_short_runs(first, driven, change):
             return False
@@ -220,8 +220,8 @@ class SignalHealth:
     ) -> Flags:
         """Return the ticks (N,) that must not be used.
 
-        rows: (N, COLUMNS). force: (N, 3) [m/s^2] and speed: (N,) [m/s], with flags where they are
-        known. turning: (N,) size of the yaw rate [rad/s].
+        rows: (N, COLUMNS). force: (N, 3) [m/s^2]. speed: (N,) [m/s]. ok_force, ok_speed: (N,) flags
+        of the known values. turning: (N,) size of the yaw rate [rad/s].
         """
         self.found |= self._faults(rows, force, ok_force, speed, ok_speed, turning)
         out = np.zeros(len(rows), dtype=bool)
@@ -242,9 +242,9 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> list[bool]:
-        """Return for blocks (B, N, COLUMNS) whether `untrusted` finds nothing in each.
+        """Return for each block (B, N, COLUMNS) whether `untrusted` finds no fault.
 
-        The result also holds if the vehicle turns faster, up to MAX_ROAD_RATE.
+        The result is also valid if the vehicle turns faster than `turning`, up to MAX_ROAD_RATE.
         """
         any_fault = np.zeros(len(rows), dtype=bool)
         for flags in self._faults(rows, force, ok_force, speed, ok_speed, turning).values():
@@ -265,8 +265,8 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> dict[tuple[str, SignalFault], Flags]:
-        """Return the faults. The arguments are those of `untrusted`, or of several blocks (B,
-        N).
+        """Return the faults. The arguments are those of `untrusted`, for one block or for several
+        blocks (B, N).
         """
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=-1)
@@ -288,29 +288,30 @@ class SignalHealth:
         return known & (rows[..., WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
     def _count(self, signal: str, fault: SignalFault, flags: Flags) -> None:
-        """Add the flagged ticks to the count of a signal and fault."""
+        """Add the number of flagged ticks to the count of a signal and fault."""
         n = int(np.count_nonzero(flags))
         if n:
             self.counts[signal, fault] += n
 
 
 SOUND_S = 10.0
-"""A sensor is used again after this time without a fault [s].
+"""Time without a fault after which a sensor is used again [s].
 
-The time is longer than the pauses of a loose contact, each of which causes a loss of two seconds at
+This time is longer than the pauses of a loose contact. Each contact loss lasts for two seconds at
 most.
 """
 EVENTS = 50
-"""Number of faults that are remembered for the report."""
+"""Largest number of faults that are stored for the report."""
 
 Faults = Mapping[SignalFault, str]
 """Faults and the axes that have them, such as {stuck: "y"}."""
 
 
 class FaultEvent(Struct):
-    """A fault that was reported: since and until stream time [s]; None while it lasts.
+    """A fault that was reported. since, until: stream time [s]; until is None while the fault is
+    present.
 
-    axes: such as "y"; empty for a signal that has none.
+    axes: axes with the fault, such as "y"; empty for a signal without axes.
     """
 
     channel: str
@@ -332,9 +333,10 @@ class FaultEvent(Struct):
 
 
 class FaultsInForce:
-    """A channel's present faults, and the time since each was last seen [s].
+    """Present faults of a channel, and the time without each fault since it was last seen [s].
 
-    events: those of all channels. A fault that begins is appended, and its end is set there.
+    events: reported faults of all channels. A fault that begins is appended. When a fault ends, the
+    time of the end is stored in the reported fault.
     """
 
     def __init__(self, channel: str, events: deque[FaultEvent]) -> None:
@@ -344,9 +346,9 @@ class FaultsInForce:
         self._events = events
 
     def go_on(self, found: Faults, now: float, passed: float) -> None:
-        """Update with the faults found and with those whose absence has not lasted long enough.
+        """Update the present faults with the faults found. A fault ends after `SOUND_S` without it.
 
-        now: stream time [s]; passed: time since the last call [s].
+        now: stream time [s]. passed: time since the last call [s].
         """
         faults = dict(self.faults)
         for fault in list(faults):
@@ -365,9 +367,7 @@ class FaultsInForce:
         self.faults = faults
 
     def end(self, now: float) -> None:
-        """End all faults, because nothing watches the channel any more from stream time now
-        [s] on.
-        """
+        """End all faults at stream time `now` [s], because the channel is no longer watched."""
         for fault in self.faults:
             self._ended(fault, now)
         self.faults = {}

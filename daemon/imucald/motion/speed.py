@@ -1,10 +1,10 @@
 """Compute dv/dt from a speed signal that may be slow, coarse and late, and pair it with the
 accelerometer.
 
-Between two speed samples, (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over that interval,
-whatever the rates. No smoothing is therefore needed. The accelerometer is averaged over the same
-interval, shifted by the speed's delay. The pair is one `SpeedInterval`. Coarse steps of the speed
-then only add noise to dv/dt, which the accelerometer does not share.
+Between two speed samples, (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over the interval, at
+any sample rate. No smoothing is therefore needed. The accelerometer is averaged over the same
+interval, shifted by the speed's delay. A `SpeedInterval` contains both means. Coarse steps of the
+speed then only add noise to dv/dt, which does not correlate with the accelerometer.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ from imucald.motion.ticks import TICK_S
 
 NAN = math.nan
 HISTORY_TICKS = 64
-"""Ticks of running sums that are kept: any delay and an interval of up to 4 s."""
+"""Number of ticks whose running sums are kept. This number is enough for any delay and an interval
+of up to 4 s."""
 
 
 class SpeedInterval(NamedTuple):
-    """Motion over an interval: means over it, NaN if unknown.
+    """Motion over an interval. All values are means over the interval; NaN if not known.
 
-    t0, t1: accelerometer time [s]; fx, fy, fz: specific force, sensor axes [m/s^2];
-    speed [m/s], negative in reverse; dvdt [m/s^2]; yaw_rate [rad/s]; clean: no rejected sample.
+    t0, t1: begin and end in accelerometer time [s]. fx, fy, fz: specific force, sensor axes
+    [m/s^2]. speed: [m/s], negative in reverse. dvdt: [m/s^2]. yaw_rate: [rad/s]. clean: True if no
+    sample was rejected.
     """
 
     t0: float
@@ -51,10 +53,10 @@ class _Sums(NamedTuple):
 
 
 class SpeedIntervalMaker:
-    """Cuts the ticks into intervals: at speed samples, or by time where there is no speed.
+    """Divides the ticks into intervals: at speed samples, or by time if there is no speed.
 
-    block_s: shortest interval [s]; delay: delay of the speed against the accelerometer [s]
-    (negative: the speed leads); timeout: time without speed [s] after which speed is unknown.
+    block_s: shortest interval [s]. delay: delay of the speed against the accelerometer [s]; it is
+    negative if the speed leads. timeout: time without speed [s] after which the speed is unknown.
     """
 
     def __init__(self, block_s: float, delay: float, timeout: float) -> None:
@@ -78,14 +80,14 @@ class SpeedIntervalMaker:
         self._speed_seen = -math.inf
 
     def add_speed(self, t: float, speed: float) -> None:
-        """Take a speed sample [m/s], signed, made at stream time t [s]."""
+        """Take a signed speed sample [m/s] with the stream time t [s]."""
         self._pending.append((t - self._delay, speed))
         self._speed_seen = t
 
     def take_tick(
         self, t: float, fx: float, fy: float, fz: float, yaw_rate: float, clean: bool
     ) -> SpeedInterval | None:
-        """Take the tick that ends at t [s]; return an interval that is now complete, if any."""
+        """Take the tick that ends at t [s]. Returns an interval that is now complete, or None."""
         _, x, y, z, yaw, bad, unknown = self._last
         known = not math.isnan(yaw_rate)
         last = self._last = _Sums(
@@ -110,7 +112,7 @@ class SpeedIntervalMaker:
         return None
 
     def _at(self, t: float) -> _Sums | None:
-        """Return the running sums at time t, interpolated; None before the history begins."""
+        """Return the interpolated running sums at time t; None before the history begins."""
         rows = self._rows
         back = int((rows[-1].t - t) / TICK_S)
         if back + 2 > len(rows):

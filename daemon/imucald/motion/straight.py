@@ -1,8 +1,8 @@
 """Straight-line motion: the recognisers of method A (step 4), and the source of the yaw rate.
 
-Each recogniser can be used alone. A limit on the yaw rate in rad/s is not suitable at speed: at 2
-deg/s and 20 m/s the centripetal acceleration is 0.7 m/s^2. A gate on the lateral acceleration v*r
-is therefore added to the published recognisers.
+Each recogniser can be used alone. A limit on the yaw rate alone is not enough at speed: at 2 deg/s
+and 20 m/s the centripetal acceleration is 0.7 m/s^2. A limit on the lateral acceleration v*r is
+therefore added to the published recognisers.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
 NAN = math.nan
 OFFSET_MEMORY = 600
-"""Ticks at rest after which an offset is forgotten, because it drifts with temperature."""
+"""Largest weight of an offset, in ticks at rest. Older data are forgotten, because the offset
+drifts with temperature."""
 MAX_HOLD_TICKS = 10
-"""Ticks for which a slow signal's last value is used as the present one."""
+"""Number of ticks for which the last value of a slow signal is used as the present value."""
 
 
 def angles_agree(angles: ArrayLike, spread: float) -> bool:
@@ -48,9 +49,9 @@ def yaw_rate_with_understeer(
     wheelbase: float,
     understeer: float,
 ) -> NDArray[np.float64]:
-    """Return the yaw rate of columns (N,), with tyre slip in bends, for small angles.
+    """Return the yaw rate (N,) [rad/s] with tyre slip in bends, for small steering angles.
 
-    r = v delta / (n L (1 + K v^2 / L)); understeer: K [rad/(m/s^2)] (Gillespie, Fundamentals of
+    r = v delta / (n L (1 + K v^2 / L)), with understeer K [rad/(m/s^2)] (Gillespie, Fundamentals of
     Vehicle Dynamics, ch. 6).
     """
     bend = steering_ratio * wheelbase * (1.0 + understeer / wheelbase * speed * speed)
@@ -59,7 +60,7 @@ def yaw_rate_with_understeer(
 
 
 class ZeroOffset:
-    """Mean of a signal at rest that forgets slowly."""
+    """Mean of a signal at rest. Old values are slowly forgotten."""
 
     def __init__(self) -> None:
         self.value = 0.0
@@ -72,15 +73,16 @@ class ZeroOffset:
 
     @property
     def known(self) -> bool:
-        """True if the signal was seen at rest for long enough (a second)."""
+        """True if the signal was at rest for long enough (a second)."""
         return self._n >= 10
 
 
 class YawRateSource:
-    """The vehicle's yaw rate [rad/s, positive to the left] from the best signal a tick has.
+    """The vehicle's yaw rate [rad/s, positive to the left] from the best available signal.
 
-    Order of preference: the vehicle's own yaw rate; the sensor's gyroscope about the vertical; the
-    steering angle with the speed. The offset at rest is subtracted from the first two.
+    The order of preference is: the vehicle's own yaw rate, the sensor's gyroscope about the
+    vertical, the steering angle with the speed. For yaw rate and gyroscope, the offset at rest is
+    subtracted.
     """
 
     def __init__(self, steering_ratio: float, wheelbase: float, use_steering: bool = True) -> None:
@@ -92,7 +94,7 @@ class YawRateSource:
         self.restart()
 
     def restart(self) -> None:
-        """Forget held values; keep the offsets."""
+        """Forget held values, and keep the offsets."""
         self._rate = NAN
         self._rate_age = MAX_HOLD_TICKS + 1
         self._gyro: tuple[float, float, float] | None = None
@@ -103,7 +105,7 @@ class YawRateSource:
 
     @property
     def steering(self) -> float:
-        """Steering-wheel angle [rad], or NaN if it is not known now."""
+        """Present steering-wheel angle [rad]; NaN if it is not known."""
         return self._steering if self._steering_age <= MAX_HOLD_TICKS else NAN
 
     def take_tick(
@@ -113,9 +115,9 @@ class YawRateSource:
         speed: float,
         at_rest: bool,
     ) -> float:
-        """Take a tick and return the yaw rate, or NaN.
+        """Take a tick and return the yaw rate [rad/s], or NaN.
 
-        up: unit vector up in sensor axes; speed [m/s] or NaN; at_rest: the vehicle stands now.
+        up: unit vector up in sensor axes. speed: [m/s] or NaN. at_rest: the vehicle stands now.
         """
         self._take(tick, at_rest)
         if self._rate_age <= MAX_HOLD_TICKS:

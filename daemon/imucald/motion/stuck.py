@@ -1,13 +1,14 @@
 """Stuck signals: a sensor or a sender that repeats one value.
 
-The error of a stuck value is the change of the true value, and the signal jumps at the end. Two
-kinds of signal have two tests. The noise of a sensor always changes its values (`StuckSensor`, over
-blocks of ticks; `HeldForce`, tick by tick). A speed or a yaw rate that is rounded may stay, so it
-is compared with another signal (`StuckSignal`). `model_compensation.held_repeats` finds nothing of
-this kind: it keeps a stuck sensor recognisable.
+The error of a stuck signal is the change of the true value, and the signal jumps when it is no
+longer stuck. There are two tests for two kinds of signals. A sensor's values always change because
+of noise, so a repeated value is a fault (`StuckSensor`, over blocks of ticks; `HeldForce`, tick by
+tick). A rounded speed or yaw rate may stay constant, so it is compared with another signal
+(`StuckSignal`). `model_compensation.held_repeats` does not look for stuck sensors: it keeps a stuck
+sensor recognisable.
 
-`EqualRuns` and `UsualRuns` describe runs of equal values of one signal: where they are, and how
-long they usually last.
+`EqualRuns` holds the places of the runs of equal values. `UsualRuns` holds the usual duration of
+these runs.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 Places = NDArray[np.int64]
 
 MIN_STUCK_S = 1.2
-"""Shortest run that is called stuck."""
+"""Shortest run of equal values that counts as stuck [s]."""
 TIMES_USUAL = 4.0
-"""A stuck run also lasts at least this many times the usual run."""
+"""Smallest ratio of a stuck run to the usual run."""
 RUNS_REMEMBERED = 200
 MIN_RUNS = 50
-"""Number of runs before which nothing is called stuck."""
+"""Number of runs after which a signal can count as stuck."""
 
 
 class EqualRuns(NamedTuple):
     """Runs of equal values.
 
-    Places (M,) of the first and last value of each run; `change`: (N - 1,), the size of the change
-    after each value.
+    first, last: (M,) places of the first and last value of each run. change: (N - 1,) size of the
+    change after each value.
     """
 
     first: Places
@@ -51,7 +52,8 @@ class EqualRuns(NamedTuple):
 
 
 def runs_of(values: Array, same: float) -> EqualRuns:
-    """Return the runs in values (N,), N > 0, whose neighbours differ by at most `same`."""
+    """Return the runs in values (N,), N > 0. Neighbouring values in a run differ by at most
+    `same`."""
     change = np.abs(values[1:] - values[:-1])
     ended = np.flatnonzero(change > same)
     first, last = np.zeros((2, len(ended) + 1), np.int64)
@@ -60,17 +62,17 @@ def runs_of(values: Array, same: float) -> EqualRuns:
 
 
 SHORT_TICKS = 11
-"""Longest run in ticks that never lasts longer than MIN_STUCK_S."""
+"""Length of a run, in ticks, that is always shorter than MIN_STUCK_S."""
 
 
 def short_runs(
     values: Array, same: float, leaving: int
 ) -> tuple[NDArray[np.bool_], Places, Places, Places, Array]:
-    """Return the runs in each row of values (B, N) that end among its first `leaving`.
+    """Return the runs in each row of values (B, N) that end among the first `leaving` values.
 
-    The first result (B,) is whether all of a row's runs are short and none continues beyond the
-    first `leaving`. The other four results have one entry for each run (M,): the run's row, the
-    places of its first and last value, and the size of the change that ends the run.
+    The first result (B,) is True if all runs of a row are short and none continues beyond the first
+    `leaving` values. The other four results have one entry for each run (M,): row of the run,
+    places of its first and last value, and size of the change that ends the run.
     """
     change = np.abs(values[:, 1:] - values[:, :-1])
     is_over = change > same
@@ -86,14 +88,14 @@ def short_runs(
 
 
 class UsualRuns:
-    """The last RUNS_REMEMBERED runs that ended: duration of each, and the change after it."""
+    """The last RUNS_REMEMBERED runs that ended: duration of each run, and the change after it."""
 
     def __init__(self) -> None:
         self._runs = np.zeros((RUNS_REMEMBERED, 2))
         self._ended = 0
 
     def add_ended_runs(self, lasted: Array, change: Array) -> None:
-        """Remember runs that ended: (M,) durations, (M,) changes after them."""
+        """Store runs that ended: durations (M,), and changes (M,) after the runs."""
         if not len(lasted):
             return
         place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
@@ -106,11 +108,11 @@ class UsualRuns:
         return self._ended >= MIN_RUNS
 
     def repeated(self, share: float, times: float) -> float:
-        """Return the duration of a run of a sender that repeats its values, with more weight on
-        long ones; 0: it does not repeat.
+        """Return the mean duration of the runs of a sender that repeats its values, weighted by
+        duration. 0: the sender does not repeat.
 
-        A sender repeats if most of its changes are larger than this many times its step. The step
-        is the change that a share of all changes does not exceed.
+        A sender repeats if most of its changes are larger than `times` its step. The step is the
+        change that the share `share` of all changes does not exceed.
         """
         lasted, change = self._runs[: self._ended].T
         is_jump = change > times * self.change(share)
@@ -124,8 +126,8 @@ class UsualRuns:
 
 
 def quantile(values: Array, share: float) -> float:
-    """Return the quantile as numpy.quantile does, which loads its masked arrays for it (7 ms, 1.2
-    MiB).
+    """Return a quantile of values (N,). `numpy.quantile` gives the same result, but imports masked
+    arrays (7 ms, 1.2 MiB).
     """
     ordered = np.sort(values)
     place = share * (len(ordered) - 1)
@@ -135,61 +137,64 @@ def quantile(values: Array, share: float) -> float:
 
 
 STUCK_TICKS = 12
-"""Number of identical means of a sensor that make a stuck signal: noise always changes values."""
+"""Number of identical means from which a sensor is stuck: noise always changes the values."""
 BEFORE_RUN = 12
-"""Number of ticks before a run. The speeds of these ticks show the value from which the run
-begins."""
+"""Number of ticks before a run whose speeds show the value at which the run begins."""
 STUCK_MOVING_TICKS = 5
-"""Number of identical means that is enough while the vehicle rolls."""
+"""Number of identical means while the vehicle rolls from which a sensor is stuck."""
 HELD_TICKS = 10
-"""Ticks of one force that also never changed within a tick: then a second is enough."""
+"""Number of ticks (a second) with the same force, also within each tick, from which the force is
+stuck."""
 STUCK_HOLE = 4
-"""Largest distance in ticks from one sample to the next: 2.5 Hz."""
+"""Largest distance in ticks from one sample to the next within a run: 2.5 Hz."""
 SAME = 1e-9
-"""Difference by rounding between means over nine and ten equal samples [m/s^2, rad/s]."""
+"""Difference between means over nine and ten equal samples that comes from rounding [m/s^2,
+rad/s]."""
 TURNED, STEPS = 0.008, 3.0
-"""A yaw rate is stuck if the other one changes by this much [rad/s].
+"""Smallest change of the other yaw rate at which a yaw rate is stuck: `TURNED` [rad/s] plus `STEPS`
+of the signal's own steps.
 
-This is 3 deg in the 6.4 s of a block, which would look like a rotation of the sensor. The change
-must also be this many of its own steps: rounding holds a value back by one step, a sender's dead
-band by two.
+`TURNED` is 3 deg in the 6.4 s of a block, which would look like a rotation of the sensor. Rounding
+holds a value back by one step, and a sender's dead band holds a value back by two steps.
 """
 SMOOTH = np.full(10, 0.1)
-"""The other yaw rate is used as means over a second, because vibration is not a turn."""
+"""Weights of a mean over a second. The other yaw rate is averaged because vibration is not a
+turn."""
 SPLIT, JUMPS = 0.1, 1.5
-"""Share of changes that may be finer than the signal's step, because means over ticks split a step.
-
-Most changes of a sender that repeats its values are larger than this many steps.
+"""Share of changes that may be smaller than the signal's step, because means over ticks split a
+step. Most changes of a sender that repeats its values are larger than `JUMPS` steps.
 """
 LARGE = 0.9
-"""Quantile of the changes that is taken as the possible error of a signal: means over ticks split
-steps."""
+"""Quantile of the changes that is used as the possible error of a signal, because means over ticks
+split steps."""
 GAINED = 1.5
-"""Additional possible error [m/s]: the response of the body and of the vertical to hard braking."""
+"""Additional possible error [m/s]. The cause is the response of the body and of the vertical to
+hard braking."""
 HARD, DEVIATIONS = 2.0, 3.0
-"""While the delay of the speed is not known, braking with this deceleration [m/s^2] may come
-earlier by this many deviations of the delay.
+"""Braking [m/s^2], and possible time error in deviations of the speed's delay. While the delay is
+not known, a braking may be earlier by this time.
 """
 TURNING_WHEELS = 15
-"""Number of ticks with turning wheels and zero speed that make the speed stuck.
+"""Number of ticks with turning wheels and zero speed from which the speed is stuck.
 
-A speed that begins at 4 km/h (inductive wheel sensors) is zero for a second of a launch at 1 m/s^2.
+A speed that begins at 4 km/h (inductive wheel sensors) is zero for the first second of a launch at
+1 m/s^2.
 """
 WHEELS_WITHIN = np.ones(41)
-"""These ticks are counted within 2 s to both sides, because coarse wheel speeds do not change in
-every tick.
+"""Window of 2 s before and after a tick, in which ticks with turning wheels are counted. Coarse
+wheel speeds do not change in every tick.
 """
 
 
 class StuckSensor:
     """Flags ticks of a sensor that repeats one value for STUCK_TICKS or longer, also in motion.
 
-    At rest a coarse sensor may be still; a sensor that got stuck before the vehicle stopped is also
-    flagged there. The tick after a stuck run is flagged as well, because its mean may contain stuck
-    samples.
+    A coarse sensor may repeat a value at rest. A sensor that got stuck before the vehicle stopped
+    is flagged at rest too. The tick after a stuck run is flagged as well, because its mean may
+    contain stuck samples.
 
-    count, first: columns of the number of its samples and of its first axis. moving: whether the
-    vehicle counts as moving where no speed was received.
+    count: column of the sensor's number of samples. first: column of the sensor's first axis.
+    moving: True if a vehicle without a received speed counts as moving.
     """
 
     def __init__(self, count: int, first: int, moving: bool) -> None:
@@ -201,7 +206,7 @@ class StuckSensor:
         self._held = None
 
     def flags(self, rows: Array) -> Flags:
-        """Return the ticks (N,) at which it is stuck. rows: (N, COLUMNS)."""
+        """Return flags of the ticks (N,) at which the sensor is stuck. rows: (N, COLUMNS)."""
         flags = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
         values = rows[at, self._axes]
@@ -229,8 +234,8 @@ class StuckSensor:
 
 
 def latest_speed(rows: Array) -> Array:
-    """Return the size of the last received speed up to each of ticks (N, COLUMNS); NaN before the
-    first.
+    """Return the absolute value of the last received speed for each of the ticks (N, COLUMNS); NaN
+    before the first speed.
     """
     received = rows[:, tk.SPEED.n] > 0
     latest = np.maximum.accumulate(np.where(received, np.arange(len(rows)), 0))
@@ -238,7 +243,7 @@ def latest_speed(rows: Array) -> Array:
 
 
 class HeldForce:
-    """Counts ticks with the same force that also did not change within the tick."""
+    """Counts ticks with the same force. The force must also be constant within each tick."""
 
     def __init__(self) -> None:
         self.restart()
@@ -249,7 +254,8 @@ class HeldForce:
         self._ticks = 0
 
     def take_tick(self, tick: TickRow, force: Vector) -> bool:
-        """Take a tick and its mean force; return whether it is stuck, if the vehicle moves."""
+        """Take a tick and its mean force. Returns whether the force is stuck, provided that the
+        vehicle moves."""
         same = force == self._force and tick[ACCEL.min_x] == tick[ACCEL.max_x]
         self._ticks = self._ticks + 1 if same else 0
         self._force = force
@@ -257,7 +263,7 @@ class HeldForce:
 
 
 def one_more(flags: Flags) -> Flags:
-    """Return the flags plus the tick after each flagged one."""
+    """Return the flags, extended by the tick after each flagged tick."""
     out = flags.copy()
     out[1:] |= flags[:-1]
     return out
@@ -266,9 +272,9 @@ def one_more(flags: Flags) -> Flags:
 class SeenForward(Struct, frozen=True):
     """Evidence of the accelerometer about the speed, for the ticks (N,) in use.
 
-    accel: forward force without gravity [m/s^2]. late: delay of the speed against the force [s],
-    and its deviation. drift: lasting error of the force [m/s^2]. hidden: speed up to which the
-    vehicle may creep while its signal is zero [m/s].
+    accel: forward force without gravity [m/s^2]. late: delay of the speed against the force [s].
+    late_std: deviation of this delay [s]. drift: lasting error of the force [m/s^2]. hidden: speed
+    up to which the vehicle may creep while its speed signal is zero [m/s].
     """
 
     accel: Array
@@ -279,12 +285,13 @@ class SeenForward(Struct, frozen=True):
 
 
 class OtherSignal(Struct, frozen=True):
-    """Evidence of another signal about one that may be stuck, for the ticks (N,) in use.
+    """Evidence of another signal about a signal that may be stuck, for the ticks (N,) in use.
 
-    said: (2, N) how far the signal should have risen, and fallen, up to each tick, in its unit,
-    beyond its own change; NaN if the other signal says nothing. least: change from which the
-    signal is stuck; it must also exceed `steps` of its own changes. origin: (2,) value from which
-    the next call counts. since: number of ticks before a run that show from which value it begins.
+    said: (2, N) expected rise and expected fall of the signal up to each tick, in its unit, beyond
+    its own change; NaN if the other signal gives no evidence. least: change from which the signal
+    is stuck. steps: number of the signal's own changes that are added to `least`. origin: (2,)
+    value at which the next call begins to count. since: number of ticks before a run that show the
+    value at which the run begins.
     """
 
     said: Array
@@ -297,7 +304,7 @@ class OtherSignal(Struct, frozen=True):
 def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
     """Return the force as evidence about the speed [m/s] of ticks (N, COLUMNS).
 
-    The evidence is the integral of the force, less its possible error and less the change of the
+    The evidence is the integral of the force, minus its possible error and minus the change of the
     speed signal.
     """
     n = len(seen.accel)
@@ -314,8 +321,8 @@ def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
 
 
 def by_turning(turning: Array, driving: Flags) -> OtherSignal:
-    """Return another yaw rate (N,) [rad/s] as evidence about the yaw rate, where `driving` is
-    set.
+    """Return another yaw rate (N,) [rad/s] as evidence about the yaw rate. Only ticks with the flag
+    `driving` are used.
     """
     turned = np.where(driving, np.convolve(turning, SMOOTH, mode="same"), math.nan)
     return OtherSignal(np.stack([turned, -turned]), TURNED, STEPS, np.zeros(2))
@@ -324,9 +331,9 @@ def by_turning(turning: Array, driving: Flags) -> OtherSignal:
 class _OpenRun(Struct, frozen=True):
     """A run that continues in the next call.
 
-    lasted: (2,) ticks that were driven in it, and ticks with evidence from the other signal. low:
-    (2,) smallest evidence, from the next call's origin. gained: largest change according to the
-    other signal.
+    lasted: (2,) number of driving ticks in the run, and number of ticks with evidence from the
+    other signal. low: (2,) smallest evidence, relative to the origin of the next call. gained:
+    largest change according to the other signal.
     """
 
     value: float
@@ -344,18 +351,18 @@ class StuckSignal:
 
     A coarse signal keeps a value for minutes while the vehicle keeps its speed or direction. A
     sender that repeats each value several times has long runs all the time. A run, also of zeros,
-    is therefore compared with another signal within it, and a speed also as the run begins. A
-    sender that repeats is allowed four of its usual runs. Without another signal nothing is called
-    stuck; then no result depends on the signal either.
+    is therefore compared with another signal within the run. A run of the speed is also compared
+    with the ticks before the run. A sender that repeats may repeat for four of its usual runs.
+    Without another signal, the signal is never stuck.
 
-    count, mean: columns of the number of its samples and of their mean. same: values that differ by
-    at most this are equal.
+    count, mean: columns of the signal's number of samples and of their mean. same: largest
+    difference between two equal values.
     """
 
     def __init__(self, count: int, mean: int, same: float) -> None:
         self._count, self._mean, self._same = count, mean, same
         self._ended = UsualRuns()
-        """Ended runs: driven ticks in each, and the change after it."""
+        """Ended runs: number of driving ticks in each run, and the change after the run."""
         self.restart()
 
     def take_usual(self, former: StuckSignal) -> None:
@@ -369,12 +376,11 @@ class StuckSignal:
     def flags(
         self, rows: Array, driving: Flags, leaving: int, witness: OtherSignal | None
     ) -> Flags:
-        """Return the ticks (N,) at which the signal is stuck.
+        """Return flags of the ticks (N,) at which the signal is stuck.
 
-        rows: (N, COLUMNS); the first `leaving` leave next.
-
-        driving: (N,) ticks in which the vehicle drives; other ticks do not count for the usual
-        length.
+        rows: (N, COLUMNS). leaving: number of first rows that the next call does not contain.
+        driving: (N,) flags of the ticks in which the vehicle drives. Other ticks do not count for
+        the usual length of runs. witness: evidence of the other signal, or None.
         """
         out = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
@@ -425,11 +431,11 @@ class StuckSignal:
         return one_more(out)
 
     def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
-        """Take ticks in which the signal keeps no value for long, see `short_runs`.
+        """Take ticks in which the signal has short runs only, see `short_runs`.
 
-        first: their first value. driven: (M,) ticks of driving in each run; change: (M,) change of
-        the value after it. Returns False if the first run continues an earlier one, so that `flags`
-        is needed.
+        first: first value of the ticks. driven: (M,) number of driving ticks in each run. change:
+        (M,) change of the value after each run. Returns False if the first run continues an earlier
+        run. The caller must then call `flags`.
         """
         if abs(first - self._open.value) <= self._same:
             return False
@@ -438,8 +444,8 @@ class StuckSignal:
         return True
 
     def _limit(self) -> float:
-        """Return the length [ticks] above which a run may be stuck; infinite until the signal is
-        known.
+        """Return the length [ticks] above which a run may be stuck; infinite until the usual length
+        of runs is known.
         """
         if not self._ended.known:
             return math.inf
@@ -453,8 +459,8 @@ class StuckSignal:
 
 
 def _changes(witness: OtherSignal, part: slice, run: _OpenRun) -> tuple[Array, float]:
-    """Return the smallest evidence (2,) and the largest change, over a run's ticks and earlier
-    ones.
+    """Return the smallest evidence (2,) and the largest change, over the ticks of this call and
+    earlier ticks of the run.
     """
     said = witness.said[:, part]
     lowest = np.fmin(np.fmin.accumulate(said, axis=1), run.low[:, None])
@@ -462,10 +468,10 @@ def _changes(witness: OtherSignal, part: slice, run: _OpenRun) -> tuple[Array, f
 
 
 def _begins_from(witness: OtherSignal, at: Places, stuck: Flags) -> Array:
-    """Return the value (2,) from which a run begins.
+    """Return the value (2,) at which a run begins; NaN: no evidence.
 
-    The value is the highest evidence of the ticks before it that have a sample (M,), so that no
-    single value disturbs the next ones; NaN: no evidence.
+    The value is the highest evidence of the ticks with a sample (M,) before the run. A single wrong
+    value therefore does not affect the next values.
     """
     near = at[at >= at[-1] - witness.since] if len(at) and witness.since else at[:0]
     near = near[~stuck[near]]
@@ -473,10 +479,11 @@ def _begins_from(witness: OtherSignal, at: Places, stuck: Flags) -> Array:
 
 
 def zero_while_wheels_turn(rows: Array) -> Flags:
-    """Return the ticks (N,) with a speed of zero around which the wheels turn. rows: (N, COLUMNS).
+    """Return flags of the ticks (N,) that have a speed of zero although the wheels turn nearby.
+    rows: (N, COLUMNS).
 
-    Wheels that stand give one constant speed each, whatever their offsets. A spread of their speeds
-    that changes from tick to tick therefore shows turning wheels.
+    The speed of a standing wheel is constant, even with an offset. If the spread between the wheel
+    speeds changes from tick to tick, the wheels turn.
     """
     out = np.zeros(len(rows), dtype=bool)
     zero = (rows[:, tk.SPEED.n] > 0) & (np.abs(rows[:, tk.SPEED.mean]) <= SAME_SPEED)

@@ -1,11 +1,11 @@
 """Ticks: one row of numbers for the samples of a tenth of a second.
 
-Estimators run ten times a second on ticks. A tick holds sums over its samples, so a row costs a few
-additions per sample live (`TickAccumulator`) and a few `bincount` calls in replay (`column_ticks`).
-Both add in the same order, so they give the same bits.
+Estimators run ten times a second on ticks. A tick contains means and extremes of its samples. In
+live operation, `TickAccumulator` adds sample by sample. In replay, `column_ticks` processes whole
+columns. Live operation and replay add the samples in the same order, so the results are bit-equal.
 
-A tick covers [k / 10, (k + 1) / 10) seconds of stream time. Every tick of a segment is emitted,
-even an empty one: rows are a uniform 10 Hz grid. NaN marks missing values.
+A tick covers [k / 10, (k + 1) / 10) seconds of stream time. Every tick of a segment has a row, even
+a tick without samples. The rows are therefore a uniform 10 Hz grid. NaN marks missing values.
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ from numpy.typing import NDArray
 from imucald.core import samples
 
 TICK_RATE = 10.0
-"""Ticks per second [1/s]: ten times the bandwidth of vehicle motion, a tenth of the rate of an
-IMU.
+"""Ticks per second [1/s]: ten times the bandwidth of vehicle motion, and a tenth of an IMU's sample
+rate.
 """
 TICK_S = 1.0 / TICK_RATE
 
 TickRow = Sequence[float]
-"""One row; the columns below are its indices."""
+"""One row of a tick. The columns below are its indices."""
 
 
 class SignalColumns(NamedTuple):
-    """Columns of a signal: number of samples in the tick (0: none), and their mean."""
+    """Columns of a signal: number of samples in the tick (0: no samples), and mean of the
+    samples."""
 
     n: int
     mean: int
 
 
 class SpeedColumns(NamedTuple):
-    """Columns of the speed: number of samples, their mean, mean age at the end of the tick [s],
-    rejected samples.
+    """Columns of the speed: number of samples, mean, mean age of the samples at the end of the tick
+    [s], number of rejected samples.
     """
 
     n: int
@@ -48,8 +49,8 @@ class SpeedColumns(NamedTuple):
 
 
 class GyroColumns(NamedTuple):
-    """Number of samples, mean angular rate [rad/s] in sensor axes, mean age [s], rejected
-    samples.
+    """Columns of the gyroscope: number of samples, mean angular rate [rad/s] in sensor axes, mean
+    age of the samples at the end of the tick [s], number of rejected samples.
     """
 
     n: int
@@ -61,10 +62,11 @@ class GyroColumns(NamedTuple):
 
 
 class AccelColumns(NamedTuple):
-    """Number of samples, mean specific force [m/s^2] in sensor axes, and mean squares [(m/s^2)^2].
+    """Columns of the accelerometer: number of samples, mean specific force [m/s^2] in sensor axes,
+    and mean squares [(m/s^2)^2].
 
-    Further columns: smallest and largest force [m/s^2], mean age at the end of the tick [s],
-    rejected samples.
+    Further columns: smallest and largest force [m/s^2], mean age of the samples at the end of the
+    tick [s], number of rejected samples.
     """
 
     n: int
@@ -94,32 +96,32 @@ MEANS: Mapping[str, SignalColumns] = {
     channel: SignalColumns(SPEED.bad + 1 + 2 * i, SPEED.bad + 2 + 2 * i)
     for i, channel in enumerate(samples.VEHICLE_SIGNALS)
 }
-"""Signals whose mean a tick holds: [rad], [rad/s] and [m/s^2], positive to the left and forward."""
+"""Signals whose mean is in a tick: [rad], [rad/s] and [m/s^2], positive to the left and forward."""
 STEERING = MEANS[samples.STEERING.channel]
 YAW_RATE = MEANS[samples.YAW_RATE.channel]
 LATERAL_ACCEL = MEANS[samples.LATERAL_ACCEL.channel]
 LONGITUDINAL_ACCEL = MEANS[samples.LONGITUDINAL_ACCEL.channel]
 _AFTER_MEANS = SPEED.bad + 1 + 2 * len(MEANS)
 WHEEL_SPREAD = SignalColumns(_AFTER_MEANS, _AFTER_MEANS + 1)
-"""Mean over samples of fastest minus slowest wheel [m/s]."""
+"""Mean over samples of the difference between fastest and slowest wheel [m/s]."""
 LASTS: Mapping[str, int] = {
     row.channel: column
     for column, row in enumerate(
         (row for row in samples.QUANTITIES.values() if row.tick == "last"), _AFTER_MEANS + 2
     )
 }
-"""Signals whose last value a tick holds: 0 or 1, [degC], [rad]; NaN if there is none."""
+"""Signals whose last value is in a tick: 0 or 1, [degC], [rad]; NaN if there is none."""
 REVERSE, BRAKE = LASTS[samples.REVERSE.channel], LASTS[samples.BRAKE.channel]
 TEMPERATURE, HEADING = LASTS[samples.TEMPERATURE.channel], LASTS[samples.HEADING.channel]
 COLUMNS = _AFTER_MEANS + 2 + len(LASTS)
-"""Length of a row."""
+"""Number of columns of a row."""
 
 NAN = math.nan
 
 BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
-"""Columns that count samples rejected for their values.
+"""Columns that count the samples rejected for their values.
 
-A frame that is rejected whole is a hole like a lost one.
+A frame that is rejected as a whole is a hole, like a lost frame.
 """
 _NEVER_NAN = (
     ACCEL.n, GYRO.n, SPEED.n, *(columns.n for columns in MEANS.values()), WHEEL_SPREAD.n,
@@ -129,7 +131,7 @@ _EMPTY = [0.0 if i in _NEVER_NAN else NAN for i in range(COLUMNS)]
 
 
 def empty_rows(n: int) -> NDArray[np.float64]:
-    """Rows of ticks without any sample, (n, COLUMNS)."""
+    """Return rows of ticks without samples, (n, COLUMNS)."""
     return np.tile(np.array(_EMPTY), (n, 1))
 
 
@@ -137,8 +139,8 @@ _SENSORS = {"accel": slice(ACCEL.n, ACCEL.bad + 1), "gyro": slice(GYRO.n, GYRO.b
 
 
 def emptied(row: TickRow, channels: Iterable[str]) -> TickRow:
-    """Return the row without the values of accelerometer or gyroscope, for those among the
-    channels.
+    """Return the row without the values of the accelerometer or gyroscope. Only these two of the
+    given channels are removed.
     """
     out = list(row)
     for channel in channels:
@@ -148,15 +150,15 @@ def emptied(row: TickRow, channels: Iterable[str]) -> TickRow:
 
 
 def tick_index(t: float) -> int:
-    """Return the number of the tick that stream time t [s] falls into."""
+    """Return the number of the tick that contains stream time t [s]."""
     return math.floor(t * TICK_RATE)
 
 
 class TickAccumulator:
-    """Builds one tick from single samples, live.
+    """Builds one tick from single samples, in live operation.
 
-    The caller adds the samples of one tick (see `tick_index`), closes it, and continues with the
-    next.
+    The caller adds the samples of one tick (see `tick_index`), closes the tick, and continues with
+    the next tick.
     """
 
     def __init__(self) -> None:
@@ -202,7 +204,7 @@ class TickAccumulator:
         g[3] += t
 
     def add_sample(self, channel: str, t: float, values: Sequence[float]) -> None:
-        """Add a sample of any channel (see `samples`); channels that a tick does not hold are
+        """Add a sample of any channel (see `samples`). Channels without a column in a tick are
         ignored.
         """
         if channel == "accel":
@@ -229,7 +231,7 @@ class TickAccumulator:
             self._bad[channel] = self._bad.get(channel, 0) + 1
 
     def close(self, k: int) -> list[float]:
-        """Return the row of tick number k and begin an empty one."""
+        """Return the row of tick number k and begin an empty tick."""
         row = list(_EMPTY)
         end = row[T] = (k + 1) / TICK_RATE
         if self._na:

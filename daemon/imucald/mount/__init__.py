@@ -1,1 +1,1 @@
-"""Mount of the sensor: tilt from gravity, yaw from motion, states, correction."""
+"""Estimation of the sensor's mount: tilt from gravity, yaw from motion, states, correction."""

@@ -1,4 +1,4 @@
-"""Conditions that an estimate must meet, besides small deviations, to become good and then *fine*.
+"""Conditions for a *good* and for a *fine* estimate, in addition to small deviations.
 
 The deviations hold under two assumptions: the signals are what the configuration says, and the
 mount does not move. This module checks these assumptions with `signal_checks`, the tests for a
@@ -20,22 +20,21 @@ NO_SIDES = (
     "{up: z}}' with the axis that points up: without one of them an upside-down sensor looks like "
     "one with inverted signs"
 )
-"""Text of the reason why a certain estimate is not *fine*: no signal distinguishes left from right.
-"""
+"""Reason why a certain estimate is not *fine*: no signal distinguishes left from right."""
 TURNED_SIDES = (
     "'calibration: {orientation: {up: z}}' with the axis that points up: the yaw rate, steering "
     "angle or lateral acceleration has 'sign: -1', so it cannot show that the accelerometer's "
     "signs are right"
 )
-"""Text for a signal that distinguishes left from right, but has its sign inverted by the
-configuration."""
+"""Reason why an estimate is not *fine*: the configuration inverts the sign of the signal that
+distinguishes left from right."""
 WHY_GRAVITY_MOVED = (
     "more bends: the accelerometer shows a sudden change. Bends show whether the sensor was turned "
     "or the zero of its accelerometer has changed"
 )
 SIGNS = "check of the signs"
 NO_SPEED = "a speed: without one, a turn of the sensor would not be noticed"
-"""Text of the reason why a mount that lost its speed is not *fine*."""
+"""Reason why a mount is not *fine*: the speed is missing."""
 LATE_SPEED = (
     f"a speed with less delay: it seems to be more than {MAX_SPEED_DELAY:g} s behind the "
     "accelerometer"
@@ -45,13 +44,16 @@ LATE_SPEED = (
 class Acceptance(Struct, frozen=True):
     """Checks of an estimate with the present evidence.
 
-    is_gravity_open: it is not known yet whether the sensor was turned or a zero stepped.
-    is_delay_beyond: the delay of the speed may be larger than any that is searched. has_speed: a
-    speed has come in this drive. has_speed_now: one came in the last minute.
+    is_gravity_open: gravity has changed, and the cause is not known yet: a turned sensor, or a zero
+    error that stepped.
+    is_delay_beyond: the delay of the speed may be larger than the largest delay that is searched.
+    has_speed: a speed was received in this drive. has_speed_now: a speed was received in the last
+    minute.
     Without a speed no test shows that the sensor turns in yaw, so the mount is *usable* at most.
-    are_signs_known: an earlier drive proved the signs, and no evidence shows a change since. *Fine*
-    still waits for all signs. *Fine* does not wait until a small move would show: such a move is
-    rare, and a wait of minutes in every drive is not justified.
+    are_signs_known: an earlier drive proved the signs, and no evidence since then shows a change.
+    The state *fine* still waits until this drive has proved all signs. The state *fine* does not
+    wait until the tests could detect a small move of the sensor. Such a move is rare, and waiting
+    for minutes in every drive is not justified.
     """
 
     checks: SignalChecks
@@ -63,8 +65,8 @@ class Acceptance(Struct, frozen=True):
     are_signs_known: bool
 
     def missing_to_be_good(self) -> str | None:
-        """Return the missing conditions, in words, for an estimate with small deviations to become
-        good."""
+        """Return the missing conditions in words: those that keep an estimate with small deviations
+        from becoming good."""
         if not self.has_speed:
             return None
         if self.is_delay_beyond:
@@ -77,9 +79,9 @@ class Acceptance(Struct, frozen=True):
         return self.checks.doubt if self.are_signs_known else self.checks.missing_to_be_good()
 
     def shares(self, is_fine: bool) -> dict[str, float]:
-        """Return the share of each condition that is met (0 to 1), by name.
+        """Return the share of each condition that is met (0 to 1), by the name of the condition.
 
-        is_fine: the conditions for *fine*.
+        is_fine: return the conditions of *fine*, not those of *usable*.
         """
         found = {}
         if self.has_speed and (is_fine or self._missing_of_signals() is not None):
@@ -87,10 +89,10 @@ class Acceptance(Struct, frozen=True):
         return found
 
     def may_be_fine(self) -> bool:
-        """True if a moved sensor would be noticed, the signals were seen to agree, and few changes
-        were found.
+        """True if the estimate meets all conditions of *fine*.
 
-        All three are needed for *fine*.
+        There are three conditions: a move of the sensor would be noticed, the signals were seen to
+        agree, and few changes were found.
         """
         if self.changes.is_loose or not self.has_speed_now:
             return False
@@ -99,8 +101,8 @@ class Acceptance(Struct, frozen=True):
         return not self.has_speed or self.checks.have_agreed
 
     def missing_to_be_fine(self) -> str:
-        """Return the missing conditions, in words, for an estimate with small deviations to become
-        *fine*."""
+        """Return the missing conditions in words: those that keep an estimate with small deviations
+        from becoming *fine*."""
         if not self.has_speed_now:
             return NO_SPEED
         if self.changes.is_loose:
@@ -112,7 +114,8 @@ class Acceptance(Struct, frozen=True):
 
     @property
     def can_become_fine(self) -> bool:
-        """True if more driving can make the estimate *fine*, whatever its deviations are now."""
+        """True if more driving can make the estimate *fine*. The present deviations do not count
+        here."""
         return not (self.changes.is_loose or self.has_no_sides)
 
     @property

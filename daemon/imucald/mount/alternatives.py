@@ -2,18 +2,18 @@
 
 The check comes before any mount is called good. With a wrong sign the estimator finds a wrong
 mount, which fits the data of the first minutes. A mount is therefore not good until the data have
-ruled out every such alternative. Each alternative is compared with the configuration in blocks of
-6.4 s (`log_ratios`). One kind of alternative concerns pairs of signals that show the same motion.
-The other kind concerns the axes of the gyroscope against those of the accelerometer
-(`gyro_alternatives`).
+ruled out every wrong sign and every exchange of axes. Each of these alternatives is compared with
+the configuration in blocks of 6.4 s (`log_ratios`). The first kind of alternative concerns pairs of
+signals that show the same motion. The second kind concerns the axes of the gyroscope against the
+axes of the accelerometer (`gyro_alternatives`).
 
-The second kind cannot detect an accelerometer with all signs inverted: force and rate then show the
-mirror image of the drive, which obeys the same physics. It also cannot detect a vehicle that always
-drives backwards. Only a signal that distinguishes left from right shows these two cases: the yaw
-rate of the vehicle, the steering angle, or the lateral acceleration. A heading also shows the first
-case. A person can also state which axis of the sensor points up or forward. The speed also shows
-the second case: no road vehicle drives backwards as fast as `MAX_REVERSE`, or for most of its way.
-The estimate becomes *fine* only after evidence has ruled out the mirror image.
+The second kind cannot detect two cases. In case 1, all signs of the accelerometer are inverted:
+force and rate then show the mirror image of the drive, which obeys the same physics. In case 2, the
+vehicle always drives backwards. Both cases are detected with a signal that distinguishes left from
+right: the yaw rate of the vehicle, the steering angle, or the lateral acceleration. A heading also
+detects case 1. A person can also state which axis of the sensor points up or forward. The speed
+also detects case 2: no road vehicle drives backwards as fast as `MAX_REVERSE`, or for most of its
+distance. The estimate becomes *fine* only after evidence has ruled out the mirror image.
 """
 
 from __future__ import annotations
@@ -36,35 +36,35 @@ from imucald.mount.stated_orientation import Stated, StatedOrientation
 RATE_FLOOR, FORCE_FLOOR = 0.01, 0.3
 """Smallest assumed noise of a rate [rad/s] and of a force [m/s^2]."""
 YOUNG = 24
-"""Up to this many blocks (150 s), all blocks are weighed again, because the rotation still changes
-much.
+"""Number of blocks (150 s) up to which every new block makes all stored blocks count again, because
+the rotation still changes much.
 """
 RARELY = 4
-"""Once all alternatives are ruled out, only every fourth block is examined."""
+"""Interval of the examined blocks once all alternatives are ruled out: every fourth block."""
 MAX_REVERSE = 11.0
 """Speed [m/s] that no vehicle reaches in reverse.
 
-The ratio of reverse is about that of first gear: 13 overall with the axle, which gives 11 m/s at
-4,400 revolutions per minute with a wheel circumference of 2 m.
+The reverse gear has about the ratio of the first gear, 13 in total with the axle. This ratio gives
+11 m/s at 4,400 engine revolutions per minute with a wheel circumference of 2 m.
 """
 WAY_AHEAD = 100.0
-"""Distance [m] after which a reverse signal shows which direction is ahead.
+"""Distance [m] after which a reverse signal shows which direction is forward.
 
-The distance is longer than the way out of a yard in reverse.
+The distance is longer than a drive out of a yard in reverse gear.
 """
 MOSTLY_AHEAD = 2.0
-"""The way ahead must be this many times the way in reverse.
+"""Required ratio of the distance driven forward to the distance driven in reverse.
 
-A reverse signal with the wrong sign shows the drive backwards.
+With a wrong sign of the reverse signal, the forward drive appears as a reverse drive.
 """
 SLOW = 3.0
-"""Below this speed [m/s] a course is mostly noise and a lateral acceleration is small."""
+"""Speed [m/s] below which a course is mostly noise and a lateral acceleration is small."""
 HEADING_FLOOR = 0.05
-"""Smallest noise that is assumed for a heading [rad]: that of a course at 5 m/s from a receiver
-with a speed error of 0.25 m/s.
+"""Smallest assumed noise of a heading [rad]: the noise of a course at 5 m/s from a receiver with a
+speed error of 0.25 m/s.
 """
 TURNS_IN_A_BLOCK = 1.0
-"""Independent heading values per block: a block holds one turn at most."""
+"""Number of independent heading values per block: a block contains one turn at most."""
 NOT_CHECKED = (
     "inverted signs of the whole accelerometer: this check needs a yaw rate, steering angle, "
     "lateral acceleration or heading, or 'calibration: {orientation: {up: ...}}'"
@@ -76,7 +76,8 @@ NOT_CONFIRMED = (
 )
 
 NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows turns"
-"""Text: without turns, no signal separates a right-handed sensor from a left-handed one."""
+"""Text for a vehicle whose signals show no turns: a right-handed and a left-handed sensor then look
+the same."""
 
 
 class Alternatives:
@@ -100,7 +101,7 @@ class Alternatives:
         self._fastest = self._ahead = self._back = 0.0  # ahead [m/s]; ways [m]
 
     def restart(self) -> None:
-        """Search the mount again. Everything that is known about the sensors' own axes is kept."""
+        """Begin to search the mount again. The knowledge about the sensors' own axes is kept."""
         self._turns.forget()
         self._taken = 0
         self._is_up_stated = self._is_forward_stated = False
@@ -111,7 +112,7 @@ class Alternatives:
         self._stated.take_mount(R)
 
     def contradicted_orientation(self, R: Matrix3, yaw_known: bool) -> Stated | None:
-        """Return which of the stated axes points the other way, or None."""
+        """Return the stated axis that points in the opposite direction, or None."""
         return self._stated.contradicted(R, yaw_known)
 
     def take_block(
@@ -123,8 +124,9 @@ class Alternatives:
         seen: set[str],
         steering_offset: float,
     ) -> None:
-        """Take the last of the kept blocks. R, bias, gains: present estimates. seen: names of the
-        signals received so far.
+        """Take the last of the kept blocks.
+
+        R, bias, gains: present estimates. seen: names of the signals received so far.
         """
         p = kept[-1]
         speed = p.speed[p.ok_speed]
@@ -155,10 +157,10 @@ class Alternatives:
     def _look_for_late_change(
         self, p: SignalBlock, R: Matrix3, bias: Array, gains: tuple[float, float]
     ) -> Array | None:
-        """Look for a gyroscope sign that changes, or axes that are exchanged, in the middle of a
-        drive.
+        """Look for a change in the middle of a drive: an inverted sign or exchanged axes of the
+        gyroscope.
 
-        Returns the log ratios of the gyroscope's axes where they were computed.
+        Returns the log ratios of the gyroscope's axes, or None if the block is not suitable.
         """
         use = p.learn & p.ok_speed & p.ok_rate
         turned = TICK_S * np.abs(p.rate.sum(axis=0)).max()
@@ -186,7 +188,7 @@ class Alternatives:
         steering_offset: float,
         ratios: Array | None,
     ) -> None:
-        """Take a block. ratios: those of the gyroscope's axes, None if not computed yet."""
+        """Take a block. ratios: log ratios of the gyroscope's axes; None: not computed yet."""
         self._taken += 1
         use = p.learn & p.ok_speed
         force = (p.force - bias) @ R.T
@@ -210,13 +212,14 @@ class Alternatives:
             self._gyro.add_ratios(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
 
     def are_seen(self, least: float) -> bool:
-        """True if every alternative that the signals can show is ruled out by a log ratio of
-        `least`.
+        """True if every alternative that the signals can show is ruled out by a log ratio of at
+        least `least`.
         """
         return not self.missing(least)
 
     def missing(self, least: float) -> str | None:
-        """Return in words the driving that is still needed to see all signals agree; None: none."""
+        """Return in words the driving that is still needed until all signals were seen to agree;
+        None: no more is needed."""
         beside = (self._lateral, self._heading)
         if self._taken > YOUNG and not (self._turns.blocks or self._gyro.blocks):
             return NO_TURNS
@@ -238,7 +241,7 @@ class Alternatives:
         return None
 
     def share(self, least: float) -> float:
-        """Share (0 to 1) of the driving named by `missing` that has been done."""
+        """Share (0 to 1) of the driving that `missing` asks for and that has been done."""
         shares = [pair.share(least) for pair in self._asked]
         shares += [self._gyro.share(least)] if self._gyro.blocks else []
         shares += [] if self._knows_forward else [self._fastest / MAX_REVERSE]
@@ -246,7 +249,7 @@ class Alternatives:
 
     @property
     def _asked(self) -> list[Mirrored]:
-        """Pairs of signals that must be seen to agree."""
+        """Pairs of signals that must be seen to agree before the mount can be good."""
         pairs = [self._turns]
         if self._gyro.blocks and "yaw_rate" in self._signals:
             pairs.append(self._yaw_rate)
@@ -269,12 +272,13 @@ class Alternatives:
 
     @property
     def is_mirror_excluded(self) -> bool:
-        """True if any evidence has ruled out the mirror image of this drive."""
+        """True if the mirror image of this drive is ruled out, by a signal or by a person's
+        statement."""
         return self.mirror_share >= 1.0
 
     @property
     def mirror_share(self) -> float:
-        """Share (0 to 1) of the needed evidence against the mirror image that was seen."""
+        """Collected share (0 to 1) of the evidence that is needed against the mirror image."""
         if self._is_up_stated or self._is_forward_stated:
             return 1.0
         sided = [self._heading]
@@ -286,8 +290,8 @@ class Alternatives:
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """Return in words the properties that no signal of this vehicle shows and no person has
-        stated."""
+        """Return, in words, the properties that no signal of this vehicle shows and that no person
+        has stated."""
         if self._settings.are_sides_turned:
             has_heading = "heading" in self._signals
             return () if has_heading or self.is_mirror_excluded else (NOT_CONFIRMED,)
@@ -303,6 +307,7 @@ class Alternatives:
 
 
 def _gyro_ratios(p: SignalBlock, R: Matrix3, force: Array, gains: tuple[float, float]) -> Array:
-    """Return the log ratios of a block. force: (N, 3) in axes of R, without bias."""
+    """Return the log ratios of the gyroscope's axes in a block. force: (N, 3) in the axes of R,
+    without bias."""
     ahead = (force[:, 0] - gains[0] * p.accel) / GRAVITY
     return gyro_ratios(ahead, force[:, 1] / GRAVITY, p.rate, p.speed, R, gains[1])

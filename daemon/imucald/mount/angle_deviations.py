@@ -1,9 +1,9 @@
-"""Standard deviations of roll, pitch and yaw, each as a single angle.
+"""Standard deviations of the single angles roll, pitch and yaw.
 
-The covariance of a mount describes a rotation about the vehicle's axes. Each angle is a rotation
-about its own axis: yaw about the vehicle's z, pitch about the y axis after the yaw rotation, roll
-about the x axis after both. At a yaw of 90 deg, for example, the uncertainty about x is an
-uncertainty of the pitch.
+The covariance of a mount describes a rotation about the vehicle's axes. Each of the angles is a
+rotation about an axis of its own. Yaw turns about the vehicle's z axis, pitch about the y axis
+after the yaw rotation, and roll about the x axis after both rotations. At a yaw of 90 deg, for
+example, an uncertainty about the vehicle's x axis is an uncertainty of the pitch.
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ UNKNOWN_VARIANCE = 1.0
 LARGEST_CURVATURE = 0.1
 """Largest value of the deviation of the tilt [rad] times tan(pitch).
 
-This product is the relative change of 1 / cos(pitch) within one standard deviation. Beyond a tenth,
-the first order is too inaccurate (with sampled rotations, 95 % intervals hold 91 %). Roll and yaw
-then act as one angle.
+This product is the relative change of 1 / cos(pitch) within one standard deviation. Above 0.1, a
+first-order calculation is too inaccurate: with sampled rotations, intervals of 95 % contained 91 %
+of the values. The roll and yaw rotations then have nearly the same axis.
 """
 
 
 def angle_deviations(
     R_vehicle_from_sensor: Matrix3, covariance: Sequence[Sequence[float]]
 ) -> Vector:
-    """Standard deviations [rad] of roll, pitch and yaw; inf if an angle is not known.
+    """Return the standard deviations [rad] of roll, pitch and yaw; inf for an angle that is not
+    known.
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) of the rotation vector about the vehicle's
-    axes [rad^2]. First order, by the kinematics of intrinsic Z-Y-X angles. With c and s the cosine
-    and sine of yaw, a rotation w changes roll by (c wx + s wy) / cos(pitch), pitch by c wy - s wx,
-    and yaw by wz + tan(pitch) (c wx + s wy).
+    axes [rad^2]. The calculation is of first order, by the kinematics of intrinsic Z-Y-X angles.
+    With c and s as cosine and sine of yaw, a rotation w changes roll by (c wx + s wy) / cos(pitch),
+    pitch by c wy - s wx, and yaw by wz + tan(pitch) (c wx + s wy).
     """
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = covariance
     _, pitch, yaw = angles_from_rotation(R_vehicle_from_sensor)

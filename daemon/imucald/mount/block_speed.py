@@ -1,4 +1,5 @@
-"""Speed of blocks of ticks on an even time grid: its sign, and where the vehicle is at rest."""
+"""Speed in blocks of ticks on an even time grid: its sign, and the ticks at which the vehicle is at
+rest."""
 
 from __future__ import annotations
 
@@ -29,16 +30,16 @@ from imucald.mount.even_signals import (
 )
 
 REST_TICKS = 12
-"""The vehicle rests once the speed has been zero for this many ticks: the jerk of braking is then
+"""Number of ticks with zero speed after which the vehicle is at rest: the jerk of braking is then
 over.
 """
 
 
 class BlockSpeed:
-    """Follows the speed from block to block, N = BLOCK_TICKS.
+    """Follows the speed from block to block. N = BLOCK_TICKS.
 
-    seen: set to which the names "speed" and "reverse" are added when such a signal has come. least:
-    speed up to which the vehicle may creep while its signal says zero [m/s].
+    seen: set to which "speed" and "reverse" are added once such a signal was received. least: speed
+    up to which the vehicle may creep while its speed signal is zero [m/s].
     """
 
     def __init__(self, health: SignalHealth, seen: set[str]) -> None:
@@ -49,12 +50,13 @@ class BlockSpeed:
         self.knots = IN_EACH_TICK
         """Times at which the speed of the last block is known."""
         self._step = 0.0
-        """Step of the speed [m/s], as soon as it was seen. A noisy signal hides its step."""
+        """Resolution step of the speed signal [m/s]; 0 until a step was seen. A noisy signal hides
+        its step."""
         self._is_rolling = False  # when the speed was last known, or while it is stuck
 
     @property
     def direction(self) -> float:
-        """-1 while the reverse gear is in, otherwise 1."""
+        """-1 while the reverse gear is engaged, otherwise 1."""
         return -1.0 if self._reverse else 1.0
 
     def restart(self) -> None:
@@ -70,11 +72,12 @@ class BlockSpeed:
         even: EvenBlock | None,
         forward: Callable[[], SeenForward | None],
     ) -> tuple[Array, Flags, bool]:
-        """Return the speed (N + 2,) of a block, where it is known, and whether it equals the one in
-        `even`.
+        """Return the speed (N + 2,) of a block, a flag for each value that is known, and whether
+        this speed equals the speed in `even`.
 
-        rows: (ROWS, COLUMNS) with their ends t; at: (N + 2,) times of the speed [s]. forward:
-        function that computes the speed changes by the accelerometer, for all ticks.
+        rows: (ROWS, COLUMNS) ticks. t: end times of `rows` [s]. at: (N + 2,) times of the returned
+        speed [s]. forward: function that returns the speed changes that the accelerometer shows,
+        for all ticks.
         """
         driven = None if even is None else even.driven
         runs = None if driven is None else driven.runs
@@ -119,17 +122,17 @@ class BlockSpeed:
         return speed, ok, is_even
 
     def _hides_step(self, rows: Array, driven: Driven | None) -> bool:
-        """True if the known step of the signal does not show in the speed of a block."""
+        """True if the step of the speed signal is known from earlier blocks and does not show in
+        this block."""
         if driven is None or driven.knots.step >= self._step:
             return False
         return comes_in(self._step, rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n])
 
     def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> bool:
-        """Set the speed to zero if it is noise and the sensor is as still as in a parked
-        vehicle.
+        """Set the speed to zero if it is noise and the sensor is as still as in a parked vehicle.
 
-        Returns whether it changed the speed. Wheel sensors may be silent when wheels turn this
-        slowly (`DRIVING_SPEED`), so a creeping vehicle counts as resting.
+        Returns True if the speed was changed. Wheel sensors may send no pulses below
+        `DRIVING_SPEED`, so a vehicle that creeps slower than this counts as resting.
         """
         sizes = np.abs(speed)
         if self._reverse or not ok.all() or sizes.min() > ROLLING_SPEED:
@@ -146,9 +149,10 @@ class BlockSpeed:
         return is_silenced
 
     def _follow_least_speed(self, sizes: Array) -> None:
-        """Update the smallest speed that was seen between two other speeds.
+        """Update the smallest speed that was seen.
 
-        A tick may be half zero.
+        A speed counts only if the ticks before and after it are moving too. The mean of a tick in
+        which the vehicle stops or starts is too small.
         """
         moves = sizes > ZERO_SPEED
         between = moves[1:-1] & moves[:-2] & moves[2:]
@@ -156,9 +160,9 @@ class BlockSpeed:
             self.least = min(self.least, float(sizes[1:-1][between].min()))
 
     def _held(self, known: Array) -> Array:
-        """Return the reverse gear, with the last known value held.
+        """Return the reverse signal of each row, with the last known value held.
 
-        The value at the block's start is kept.
+        The value at the end of the block's own ticks is stored for the next block.
         """
         out = np.empty(len(known))
         value = self._reverse
@@ -171,15 +175,16 @@ class BlockSpeed:
         return out
 
     def no_rest(self) -> Flags:
-        """Follow a block (N,) that contains no rest."""
+        """Return flags (N,) for a block without rest, and reset the count of resting ticks."""
         self._rest_run = 0
         return np.zeros(BLOCK_TICKS, dtype=bool)
 
     def rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
-        """Return the ticks at rest: speed zero, or a still force where the speed is unknown.
+        """Return flags for the ticks at rest: the speed is zero, or the force is still where the
+        speed is unknown.
 
-        A speed that is lost while driving does not count as rest, because a smooth cruise feels as
-        still.
+        A speed that is lost while driving does not count as rest, because the force is as still
+        during smooth cruising.
         """
         rest = np.zeros(len(speed), dtype=bool)
         if np.count_nonzero(ok):

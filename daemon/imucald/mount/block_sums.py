@@ -1,13 +1,13 @@
-"""Sums over the ticks of a block, in one order of summation, and the yaw that one block shows.
+"""Sums over the ticks of a block, and the yaw angle that a single block shows.
 
 `block_yaw` returns the angle by which the force of one block is turned against dv/dt and v r, and
 its information.
 
-Gravity is subtracted as the gyroscope carries it (`gravity_observer`), so the force contains no
-slopes. The delay of the speed is corrected. Where the speed is known at some times only, means
-between these times are compared (`drive.speed_knots`). The variance includes a lever arm, a tyre
-slip that acts like one, and the residual force of the block itself, for example from a gust or a
-bad road.
+The direction of gravity is integrated with the gyroscope (`gravity_observer`) and gravity is
+subtracted, so the force contains no slopes. The delay of the speed is corrected. Where the speed is
+known at some times only, means between these times are compared (`drive.speed_knots`). The variance
+includes three errors: a lever arm, a tyre slip that acts like a lever arm, and the residual force
+of the block, for example from a gust or a bad road.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from imucald.mount.signal_blocks import SignalBlock
 
 
 class BlockSums(NamedTuple):
-    """Sums over n ticks: force (3,) in sensor axes, dv/dt, v r [m/s^2], size of the speed [m/s].
+    """Sums over n ticks: force (3,) in sensor axes, dv/dt, v r [m/s^2], absolute speed [m/s].
 
-    fastest: the largest size of the speed.
+    fastest: largest absolute speed [m/s].
     """
 
     n: int
@@ -40,12 +40,12 @@ class BlockSums(NamedTuple):
 
 
 def driven(p: SignalBlock) -> Flags:
-    """Return the usable ticks (N,) with a known driving speed."""
+    """Return flags (N,) of the usable ticks whose speed is known or zero."""
     return p.learn & (p.ok_speed | p.rest)
 
 
 def block_sums(p: SignalBlock, turn_rate: Array, use: Flags) -> BlockSums:
-    """Return the sums over the ticks (N,) in use. turn_rate: (N,) r [rad/s]."""
+    """Return the sums over the ticks that `use` (N,) selects. turn_rate: (N,) r [rad/s]."""
     out = np.empty(8)
     size = np.abs(p.speed) * use
     out[0] = np.count_nonzero(use)
@@ -60,9 +60,9 @@ def block_sums(p: SignalBlock, turn_rate: Array, use: Flags) -> BlockSums:
 def pair_sums(
     x: Array, y: Array, use: Flags, centred: bool = False
 ) -> tuple[int, float, float, float]:
-    """Return the number of ticks (N,) in use and their sums of x x, x y, y y.
+    """Return the number of ticks that `use` (N,) selects, and their sums of x x, x y, y y.
 
-    centred: take the products about the means.
+    centred: subtract the means of x and y before the products.
     """
     count = int(np.count_nonzero(use))
     if not count:
@@ -76,7 +76,7 @@ def pair_sums(
 
 
 def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
-    """Return the number of ticks (N,) in use and the sums of their vectors (N, 3)."""
+    """Return the number of ticks that `use` (N,) selects, and the sums of their vectors (N, 3)."""
     out = np.empty(4)
     out[0] = np.count_nonzero(use)
     (values * use[:, None]).sum(axis=0, out=out[1:])
@@ -85,37 +85,38 @@ def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:
 
 
 FORCE_NOISE = 0.06
-"""Noise of a tick of the force without disturbance [m/s^2], rms."""
+"""Noise of the force in one tick without a disturbance [m/s^2], rms."""
 PRIOR_TICKS = 16.0
 """Weight of the prior `FORCE_NOISE` in the noise of a block, as a number of ticks."""
 TOGETHER = 3.0
-"""Correlation length of the noise in ticks: the body pitches and rolls at 1 to 2 Hz."""
+"""Correlation length of the noise in ticks: the vehicle body oscillates in pitch and roll at 1 to 2
+Hz."""
 ARM = 1.5
 """Assumed distance of the sensor from the point that rolls without slip, near the rear axle [m]."""
 FLOOR = math.radians(0.5)
-"""Smallest deviation of the yaw of one block [rad], because of gains and squat."""
+"""Smallest deviation of the yaw angle from one block [rad], because of gain errors and squat."""
 DELAY_STD = 0.02
-"""Smallest deviation of the speed's delay [s]: the delay varies by this much with the engine's
-load.
-"""
+"""Smallest deviation of the speed's delay [s]: the delay varies by this much with the engine
+load."""
 LEAST_MOTION = 1.0
-"""Smallest squared motion of a usable block [(m/s^2)^2 ticks].
+"""Smallest sum of squared motion of a usable block [(m/s^2)^2 ticks].
 
-The deviation of the yaw is 6 deg there.
+With this sum, the deviation of the yaw angle is 6 deg.
 """
 
 FOLLOWED = 0.5
-"""Smallest ratio of force to motion for which a block shows a direction. With a smaller ratio only
-the gyroscope was turned, or the speed was not that of the vehicle.
+"""Smallest ratio of force to motion for which a block shows a direction. With a smaller ratio, only
+the gyroscope was turned, or the speed was not the speed of the vehicle.
 """
 
 
 class BlockMotion(Struct, frozen=True):
-    """The force of a block and the motion with which it is compared.
+    """The force of a block and the motion with which the force is compared.
 
-    force: (N, 3) without gravity, in vehicle axes. accel, turn: (N,) dv/dt and v r, with their
-    gains. turn_rate: (N,) r [rad/s]. delay, delay_std: of the speed against the force [s]. knots:
-    (K,) times at which the vehicle had a known speed [ticks since the block began]; None: in each.
+    force: (N, 3) without gravity, in vehicle axes. accel, turn: (N,) dv/dt and v r, multiplied by
+    their gains. turn_rate: (N,) r [rad/s]. delay, delay_std: delay of the speed against the force
+    and its deviation [s]. knots: (K,) times at which the vehicle's speed was known [ticks since the
+    block began]; None: the speed was known in each tick.
     """
 
     force: Array
@@ -128,8 +129,8 @@ class BlockMotion(Struct, frozen=True):
 
 
 def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
-    """Return the angle about z by which the sensor is turned from R [rad] and its information
-    [1/rad^2].
+    """Return an angle about z [rad] and its information [1/rad^2]: the angle by which the sensor is
+    turned relative to the axes of the force.
     """
     together, fitted = TOGETHER, 0.0
     if m.knots is not None:
@@ -162,13 +163,14 @@ _PAIRS = np.array(
         (3, 5), (3, 6),
     ]
 )  # fmt: skip
-"""Pairs of factors for the products: force ahead and across, dv/dt, v r, r^2, derivatives of r and
-dv/dt.
+"""Pairs of factors of the products. The factors are, in this order: force ahead, force to the left,
+dv/dt, v r, r^2, derivative of r, derivative of dv/dt.
 """
 
 
 def _sums(m: BlockMotion, use: Flags) -> list[float]:
-    """Return the number of ticks in use and sums of products about the means, see `_PAIRS`."""
+    """Return the number of ticks in use and the sums of the products in `_PAIRS`. The means are
+    subtracted first."""
     late = m.delay / TICK_S
     n = len(use)
     at = np.minimum(np.maximum(np.arange(n) + late, 0.0), n - 1.0)

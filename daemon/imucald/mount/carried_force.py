@@ -1,7 +1,8 @@
-"""Force without gravity and the turn rate of each block, with the rotation that is known so far.
+"""Force without gravity, and turn rate, of each block, computed with the rotation that is known so
+far.
 
-The tests for faults and for a moved sensor compare these with the motion that the vehicle's signals
-show.
+The tests for faults and for a moved sensor compare this force and turn rate with the motion that
+the vehicle's signals show.
 """
 
 from __future__ import annotations
@@ -25,15 +26,15 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 KNOWN_STD = 0.2
 """Deviation below which a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then
-correlates.
+still correlates with the force.
 """
 SURE = 0.035
-"""Deviation of the cross-talk below which little of the motion remains in the force."""
+"""Deviation of the cross-talk below which little of the motion remains in the estimated gravity."""
 NO_SOURCES: Mapping[str, float] = {}
 
 
 class Delay(NamedTuple):
-    """Delay of the speed against the force and its deviation [s].
+    """Delay of the speed against the force, and its deviation [s].
 
     is_beyond: the best delay is the largest searched delay, so the true delay may be larger.
     """
@@ -49,14 +50,16 @@ class Delay(NamedTuple):
 
 
 class CarriedForce:
-    """The vertical carried through all blocks since the sensor was moved, and what is known so far.
+    """The direction of gravity, integrated through all blocks since the sensor was moved, and the
+    present estimates.
 
-    R: (3, 3) rotation from the sensor to axes whose z is the mean vertical of the roads driven, so
-    it still contains the crown; None before anything shows it. gains: of the force on dv/dt and v
-    r. bias: zero of the accelerometer in sensor axes [m/s^2]. is_sure: cross-talk is known well
-    enough to compare gravity with the motion left out. lone: (N, 3) force of the last block without
-    gravity, sensor axes. turn_rate: (N,) of the last block [rad/s]. own_gyro: whether it is the
-    sensor's own gyroscope's.
+    R: (3, 3) rotation from the sensor to axes whose z is the mean vertical of the roads driven; the
+    lean of the vehicle on a crowned road is therefore still in R. R is None before there is any
+    evidence. gains: gains of the force relative to dv/dt and v r. bias: zero error of the
+    accelerometer in sensor axes [m/s^2]. is_sure: the cross-talk is known well enough to subtract
+    the motion from the force. lone: (N, 3) force of the last block without gravity, in sensor axes.
+    turn_rate: (N,) turn rate of the last block [rad/s]. own_gyro: True if the turn rate comes from
+    the sensor's own gyroscope.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -70,13 +73,13 @@ class CarriedForce:
         self.delay, self.gains, self.bias = Delay(), (1.0, 1.0), np.zeros(3)
         self.is_sure = False
         self.variances = NO_SOURCES
-        """Variance of the angle that each kind of evidence shows alone [rad^2]."""
+        """Variance of the angle from each kind of evidence alone [rad^2]."""
         self.blocks = 0
 
     def start_from(self, other: CarriedForce, turn: Array | None = None) -> None:
-        """Begin with the rotation, gains, zero and delay of another one.
+        """Begin with the rotation, gains, zero error and delay of another object.
 
-        turn: rotation vector (3,) of the sensor since, in vehicle axes [rad].
+        turn: rotation vector (3,) by which the sensor has turned since, in vehicle axes [rad].
         """
         self.R, self.gains, self.bias, self.delay = other.R, other.gains, other.bias, other.delay
         if turn is not None and self.R is not None:
@@ -87,7 +90,8 @@ class CarriedForce:
         self.vertical.restart()
 
     def follow(self, evidence: Evidence) -> bool:
-        """Take what the evidence shows now; return whether it is the first rotation."""
+        """Take the present estimates of the evidence. Returns True if they contain the first
+        rotation."""
         rotation, solution = evidence.rotation, evidence.solution
         if rotation is None:
             return False
@@ -103,7 +107,8 @@ class CarriedForce:
         return is_first
 
     def take_block(self, p: SignalBlock) -> tuple[Array, Array]:
-        """Take a block; return dv/dt and v r (N,), zero if they are not trusted."""
+        """Take a block. Returns dv/dt and v r (N,), with zeros in the ticks that are not
+        trusted."""
         self.blocks += 1
         R = self.R
         r = self._turn_rate(p, self.vertical.up)
@@ -123,7 +128,7 @@ class CarriedForce:
         return p.accel * use, turn * use
 
     def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
-        """Return the motion of the block that was taken last, in axes of R."""
+        """Return the motion and the force of the block that was taken last, in the axes of R."""
         turn = self.gains[1] * p.speed * self.turn_rate
         force, ahead = self.lone @ R.T, self.gains[0] * p.accel
         knots = None if p.speed_knots is None else p.speed_knots - self.delay.value / TICK_S
@@ -137,10 +142,10 @@ class CarriedForce:
         return p.yaw_rate * p.ok_yaw
 
     def levelled(self, zero_std: float) -> tuple[Matrix3, Array] | None:
-        """Return the rotation that gravity alone shows, and its variances about x and y; None
-        before any gravity.
+        """Return the rotation from gravity alone and its variances about x and y, or None before
+        gravity is known.
 
-        zero_std: deviation of the accelerometer's zero [m/s^2].
+        zero_std: deviation of the accelerometer's zero error [m/s^2].
         """
         if not self.gravity.known:
             return None

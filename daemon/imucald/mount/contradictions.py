@@ -2,14 +2,15 @@
 
 The estimator finds the rotation under which the sensor's signals fit the vehicle's signals best.
 With a wrong sign or unit, the best rotation is still wrong. Pairs of signals that must show the
-same motion are therefore compared all the time: turning by the gyroscope and by the vehicle's own
-signals, v r and the force to the left, dv/dt and the force ahead.
+same motion are therefore compared all the time. The first pair is the gyroscope's turn rate and the
+turn rate from the vehicle's own signals. The second pair is v r and the force to the left, the
+third pair is dv/dt and the force ahead.
 
-Each pair is judged in pieces that contain a bend or a braking. The correlation and the gain of the
-piece are judged. Correct pairs have a correlation of 0.8 to 1 in such a piece. Two unrelated
-signals fall below `UNLIKE` in nine pieces of ten, correct pairs in fewer than one of a hundred.
-`TO_ACCUSE` unlike pieces among the last `REMEMBERED` therefore occur by chance in fewer than one of
-a million pieces.
+The drive is divided into pieces, each with a bend or a braking. For each piece and each pair of
+signals, the correlation and the gain are computed. Correct pairs have a correlation of 0.8 to 1 in
+a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten pieces. The
+correlation of a correct pair is below `UNLIKE` in fewer than one of a hundred pieces. A false fault
+needs `TO_ACCUSE` such pieces among the last `REMEMBERED` pieces.
 """
 
 from __future__ import annotations
@@ -30,58 +31,62 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
 
 UNLIKE = 0.3
-"""Correlation of a piece below which its signals count as showing different motions."""
+"""Correlation in a piece below which two signals count as showing different motions."""
 OPPOSITE = -0.3
-"""Correlation limit for signals that contain slope or come from a speed with few samples: only a
-wrong sign is detected.
+"""Correlation limit for signals that contain slope or come from a speed with few samples. With this
+limit, only a wrong sign is detected.
 """
 NOTHING = (0.0, 0.0, 0.0)
 LIKE = 0.6
-"""Correlation from which the signals count as showing the same motion (`check` asks for as much).
+"""Correlation from which two signals count as showing the same motion. The command `check` uses the
+same limit.
 """
 TO_ACCUSE, TO_ACQUIT = 2, 2
-"""Number of unlike pieces, among those remembered, that makes a fault; number of like pieces in a
-row that ends it.
+"""Number of unlike pieces, among the stored pieces, that makes a fault; number of like pieces in a
+row that ends the fault.
 """
 REMEMBERED = 5
 WRONG_UNIT = 1.9
-"""A gain above this, or below its inverse, counts as a wrong unit.
+"""Gain above which the unit of a signal counts as wrong. A gain below the inverse counts as wrong
+too.
 
-The limit is the geometric middle between 1 and 3.6, the smallest factor between units that are
-mixed up. Body roll, superelevation and squat make 0.7 to 1.3.
+The limit is the geometric mean of 1 and 3.6, the smallest factor between units that are often
+confused. Body roll, superelevation and squat cause gains of 0.7 to 1.3.
 """
 MIN_TURNING = 0.25
-"""Smallest energy of turning in a piece [(rad/s)^2 ticks]: a right-angled bend has ten times as
-much.
+"""Smallest energy of turning in a piece [(rad/s)^2 ticks]: a right-angled bend has ten times this
+energy.
 """
 MIN_FORCE = 30.0
-"""Smallest energy of v r and dv/dt in a piece [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
+"""Smallest energy of v r or dv/dt in a piece [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
 MAX_BLOCKS = 40
-"""A piece that is not full within this many blocks (4 min) starts again, because noise adds up as
-well.
+"""Number of blocks (4 min) after which a piece that is still incomplete starts again, because noise
+would add up to the needed energy.
 """
 TURNS, HARD_TURNS = 1.2, 2.0
-"""Sizes of v r [m/s^2] from which the force in turns is checked for its sign, and for its gain.
+"""Sizes of v r [m/s^2] above which the force in turns is checked: the first limit for its sign, the
+second for its gain.
 
-A bend banked by 8 % takes 0.8 m/s^2 away (AASHTO, superelevation).
+A bend with a superelevation of 8 % reduces the lateral force by 0.8 m/s^2 (AASHTO).
 """
 LONG_REVERSE = 20
-"""Ticks of reverse in a block (2 s) that cannot be a slip of the gear lever."""
+"""Ticks in reverse within a block (2 s) that cannot come from a short slip of the gear lever."""
 NOISE = 3.0
-"""Blocks are skipped if the noise of the turn rate makes v r of a third of those sizes.
+"""Largest ratio at which a block is still used: `TURNS` or `HARD_TURNS` divided by the noise of v
+r.
 
-In such a block, values beyond these sizes are selected noise and not a bend. With a gyroscope that
-sends seldom, the straight line between two samples hides the noise. The random walk of its angle
-shows the noise then.
+In a block with more noise, values above `TURNS` or `HARD_TURNS` are noise and not a bend. If the
+gyroscope sends seldom, the interpolation between two samples hides the noise. The noise is then
+computed from the random walk of the integrated angle.
 """
 MOVING = 2.0
-"""Below this speed [m/s], steering and turning are hardly related."""
+"""Speed [m/s] below which steering angle and turn rate are hardly related."""
 
 
 class StandingFault(enum.StrEnum):
     """A contradiction between signals.
 
-    The values are names for machines; the words are in `WORDS`.
+    The values are machine-readable names. `WORDS` has the texts for people.
     """
 
     TURN_YAW_RATE = "gyroscope_against_yaw_rate"
@@ -134,14 +139,15 @@ WORDS = {
 
 
 _YAW_RATE, _STEERING, _FORCES = 1, 2, 4
-"""Pairs that are checked in a block, as bits."""
+"""Bit of each pair that is checked in a block."""
 
 _Sums = Sequence[float]
-"""Number of ticks of a block, and the sums of x x, x y, y y of a pair over them."""
+"""Number of ticks of a block, and the sums of x x, x y, y y of a pair of signals over these
+ticks."""
 
 
 class PairWatch:
-    """Pieces of two signals that must show the same motion, and the result of each."""
+    """Correlations and gains of two signals that must show the same motion, piece by piece."""
 
     def __init__(self, least: float, unlike: float = UNLIKE, unit_known: bool = True) -> None:
         self._least, self._unlike, self._unit_known = least, unlike, unit_known
@@ -158,17 +164,18 @@ class PairWatch:
 
     @property
     def pieces(self) -> int:
-        """Number of pieces remembered."""
+        """Number of stored pieces."""
         return len(self._pieces)
 
     @property
     def last_unlike(self) -> bool:
-        """True if the last piece contradicts the pair."""
+        """True if the two signals do not fit each other in the last piece."""
         return bool(self._pieces) and self._is_wrong(*self._pieces[-1])
 
     @property
     def agreed(self) -> bool:
-        """True if the pair was seen to show the same motion and no later piece contradicts it."""
+        """True if the two signals showed the same motion in the last piece and there is no
+        fault."""
         if self.accused or self.odd_gain or not self._pieces:
             return False
         correlation, gain = self._pieces[-1]
@@ -176,16 +183,16 @@ class PairWatch:
 
     @property
     def share(self) -> float:
-        """Share (0 to 1) of the next piece that has come; 1 once the pair has agreed."""
+        """Collected share (0 to 1) of the energy for the next piece; 1 once the pair has agreed."""
         return 1.0 if self.agreed else min(self._sums[0] / self._least, 1.0)
 
     @property
     def gain(self) -> float:
-        """Median of the pieces' gains."""
+        """Median of the gains of the stored pieces."""
         return median([g for _, g in self._pieces]) if self._pieces else 1.0
 
     def add_signals(self, x: Array, y: Array, use: Flags) -> None:
-        """Take a block. x: (N,) the reliable signal, y: (N,) the signal that must follow it."""
+        """Take a block. x: (N,) the reliable signal. y: (N,) the signal that must follow x."""
         self.add_sums(pair_sums(x, y, use))
 
     def add_sums(self, sums: _Sums) -> None:
@@ -223,14 +230,14 @@ class PairWatch:
 
 
 class ReverseWatch:
-    """Watches for reverse gear or a negative speed at a speed that no vehicle reaches backwards."""
+    """Watches for a reverse speed that no vehicle reaches."""
 
     def __init__(self) -> None:
         self.accused = False
         self._sound_blocks = 0
 
     def add_speed(self, speed: Array, ok: Flags) -> None:
-        """Take a block; speed: (N,) [m/s], ok: (N,) where it is known."""
+        """Take a block. speed: (N,) [m/s]. ok: (N,) True where the speed is known."""
         back = np.count_nonzero(ok & (speed < -MAX_REVERSE))
         if back >= LONG_REVERSE:
             self.accused, self._sound_blocks = True, 0
@@ -240,7 +247,7 @@ class ReverseWatch:
 
 
 class Contradictions:
-    """Watches all pairs that the signals allow."""
+    """Watches all pairs of signals that are available."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
@@ -254,7 +261,7 @@ class Contradictions:
     def forget_forces(self) -> None:
         """Start again for a new rotation.
 
-        Contradictions with the old rotation count until the signals agree.
+        Faults that were found with the old rotation remain until the signals agree.
         """
         for pair in (self.turns, self.hard_turns, self.speed):
             pair.forget()
@@ -271,7 +278,8 @@ class Contradictions:
     ) -> None:
         """Take a block. turn_rate: (N,) the yaw rate that the estimator uses [rad/s].
 
-        late: delay of the speed against the force [s]. None: unknown, so the force is not checked.
+        late: delay of the speed against the force [s]. If the delay is None (unknown), the force is
+        not checked.
         """
         self.reverse.add_speed(p.speed, p.ok_speed)
         walk = 0.0
@@ -331,24 +339,25 @@ class Contradictions:
 
     @property
     def doubtful(self) -> bool:
-        """True if the last piece of any pair contradicts it.
+        """True if the two signals of any pair do not fit each other in the last piece.
 
-        The mount does not become good at such a time.
+        The mount cannot become good at such a time.
         """
         return any(pair.last_unlike for pair in self._pairs)
 
     @property
     def agreed(self) -> bool:
-        """True if every pair that could be checked was seen to agree, at least the pair of turns.
+        """True if every pair that could be checked was seen to agree, and at least the pair of v r
+        and lateral force.
 
-        Slope and a speed with few samples may hide dv/dt. The absence of a contradiction is enough
-        in that case.
+        The pair of dv/dt and forward force need not be seen to agree: slope and a speed with few
+        samples may hide dv/dt.
         """
         return all(pair.agreed for pair in self._asked)
 
     @property
     def share(self) -> float:
-        """Share (0 to 1) of the evidence for `agreed` that has come."""
+        """Collected share (0 to 1) of the evidence that `agreed` needs."""
         return min(pair.share for pair in self._asked)
 
     @property
@@ -370,8 +379,8 @@ def _sums_of_pairs(
     walk: float,
     late: int,
 ) -> Sequence[_Sums]:
-    """Return the sums of a block for yaw rate, steering, turns, hard turns and speed, as far as
-    each is checked.
+    """Return the sums of a block for five pairs: yaw rate, steering, turns, hard turns and speed. A
+    pair that is not checked has zeros.
 
     vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
     [rad/s] that the rate itself does not show. late: delay of the speed against the force [ticks].
@@ -405,8 +414,9 @@ def _sums_of_pairs(
 def _own_noise(signal: Array) -> float:
     """Return the standard deviation of the white part of an even signal (N,).
 
-    A value differs from the middle between its neighbours by 1 + 1/4 + 1/4 times the white
-    variance. Turns of a vehicle last for seconds, so they hardly count.
+    The difference between a value and the mean of its two neighbours has 1 + 1/4 + 1/4 times the
+    variance of the white part. Turns of a vehicle last for seconds, so they hardly change the
+    result.
     """
     left = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
     return math.sqrt(float((left * left).sum()) / (1.5 * len(left)))

@@ -1,15 +1,15 @@
 """Detect whether the mount creeps.
 
-Random walks and steady creep are compared with a constant, weighted by the evidence. A soft holder,
-or tape in the sun, lets the mount turn slowly all the time. A constant that is fitted to such a
-mount is a mean over the drive. The deviation of this mean shrinks although the mount has moved. The
-residuals of the road segments from the constant are therefore also fitted by random walks of
-several sizes. The residuals are also fitted by a level that changes at a steady rate, as materials
-do under a steady load (secondary creep; Ashby and Jones, Engineering Materials 1, ch. 20). The
-models are local level and local linear trend with a Kalman filter (Durbin and Koopman, Time Series
-Analysis by State Space Methods, 2012, ch. 2 and 3). Each model has the probability that its
-likelihood and its prior give. The models that move share a prior. The reported angle and its
-interval are means over all models, weighted by their probabilities.
+A soft holder, or tape in the sun, lets the mount turn slowly all the time. If a constant angle is
+fitted to such a mount, the result is the mean over the drive. The deviation of this mean becomes
+smaller with time although the mount moves. Three kinds of models are therefore fitted to the
+residuals of the road segments from the constant: no change, random walks of several sizes, and
+steady creep at several rates. Materials creep at a steady rate under a steady load (secondary
+creep; Ashby and Jones, Engineering Materials 1, ch. 20). The models are local level and local
+linear trend with a Kalman filter (Durbin and Koopman, Time Series Analysis by State Space Methods,
+2012, ch. 2 and 3). The probability of each model follows from its likelihood and its prior. All
+models with a moving mount have the same prior. The reported angle and its interval are means over
+all models, weighted by the probabilities of the models.
 """
 
 from __future__ import annotations
@@ -23,51 +23,55 @@ from msgspec import Struct
 from imucald.core.arrays import Array, Flags
 
 SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
-"""Standard deviations [rad/segment] of a walk from one road segment to the next, and of a steady
-rate: 4, 10, 20, 40 and 80 deg/h."""
+"""Sizes of a random walk, as standard deviation of a step [rad/segment], and of steady creep, as
+standard deviation of the rate [rad/segment]: 4, 10, 20, 40 and 80 deg/h."""
 WALKS: Array = np.concatenate([[0.0], SIZES, 0.2 * SIZES])
 WALK_VARIANCES: Array = WALKS**2
 RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
-"""Rate of each hypothesis: zero for the constant and the walks, then creep, whose rate wanders by a
-fifth per segment.
+"""Standard deviation of the rate of each model [rad/segment]: zero for the constant and the random
+walks, then creep. The rate of creep also wanders by a fifth of this value per segment.
 """
 SHIFT_RATIO = 4.0
-"""Ratio of shifts found in a creeping mount to shifts found in a fixed mount (assumption)."""
+"""Assumed ratio of the number of shifts found in a creeping mount to the number found in a fixed
+mount."""
 BELIEVED = 0.995
 """Probability from which creep is reported."""
 MOST = 20
-"""Road segments are joined until at most this many remain."""
+"""Largest number of road segments after joining neighbours."""
 FEWEST = 3
 ANSWER_TAIL = 8.0
-"""Degrees of freedom of the errors of responses to motion (Student's t): wind, and stretches that
-shake more than the rest of the drive.
+"""Degrees of freedom of the errors (Student's t distribution) of the response to motion. The causes
+of large errors are wind and rough parts of the drive.
 """
 LATE = 0.5
-"""Age of a reported segment, in segments. The value holds for the middle of a window, half a
+"""Mean age of a reported value, in segments. The value is valid for the middle of a segment, half a
 segment ago, and is reported until the next segment ends.
 """
 PRIOR_SEGMENTS = 6.0
-"""Weight, in segments, of the source's own value as the prior for the spread between segments."""
+"""Weight, in segments, of the prior for the spread between segments. The prior is the variance that
+the source itself states."""
 HIDDEN = 0.4
 """Share of a drift that the segments may not show.
 
-An angle far from the mean looks like noise, so its windows count less, most of all where the drift
-shows most. In simulated drives with 72 deg/h (seeds 500,000 to 500,011), 0.6 of the level is found
-with weights about the drift, and 0.5 with weights about the mean.
+An angle far from the mean looks like noise, so its segments get less weight. The lower weight
+reduces the estimated level most where the drift is largest. In simulated drives with 72 deg/h
+(seeds 500,000 to 500,011), the fit found 0.6 of the level with weights about the drift, and 0.5
+with weights about the mean.
 """
 EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
-"""Sources that hardly depend on the road.
+"""Sources whose errors hardly depend on the road.
 
-If their spread about the mean is larger than the spread between segments, the mount drifts. The
-lean of roads, in contrast, persists over segments.
+If the spread of such a source about the mean is larger than the spread between neighbouring
+segments, the mount drifts. The lean of roads, in contrast, persists over several segments.
 """
 YAW = frozenset({"yaw_dvdt", "yaw_turn"})
-"""Sources of the same angle."""
+"""Sources of the yaw angle."""
 TOGETHER = 7
-"""Segments whose means are compared between both (3 min)."""
+"""Number of segments (3 min) over which each source of yaw is averaged before the sources are
+compared."""
 LEANING = "roll_gravity"
-"""The persistence of the lean of roads differs from road to road, so it is estimated from the
-segments themselves.
+"""Source whose error is the lean of the road. The persistence of the lean differs from road to
+road, so it is estimated from the segments.
 """
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
 """Sources that differ too much between town and motorway to separate creep from the road."""
@@ -76,9 +80,9 @@ SILENT = frozenset({"pitch_gravity", "pitch_axis"})
 class SegmentSeries(Struct, frozen=True):
     """Evidence about one angle from one source, by road segment.
 
-    kind: the source; the name begins with the angle. left: (G,) residual scores about the constant
-    angle. known: (G,) informations [1/rad^2]. variance: variance of the constant from all segments,
-    with their spread [rad^2].
+    kind: name of the source, which begins with the name of the angle. left: (G,) residual scores
+    about the constant angle. known: (G,) information of each segment [1/rad^2]. variance: variance
+    of the constant from all segments, including the spread between the segments [rad^2].
     """
 
     kind: str
@@ -88,16 +92,17 @@ class SegmentSeries(Struct, frozen=True):
 
     @property
     def axis(self) -> int:
-        """The angle it is about: 0 roll, 1 pitch, 2 yaw."""
+        """Index of the angle that the source shows: 0 roll, 1 pitch, 2 yaw."""
         return ("roll", "pitch", "yaw").index(self.kind.partition("_")[0])
 
 
 class Creep(Struct, frozen=True):
-    """Result for roll, pitch, yaw (3,). level: present level beyond the constant [rad].
+    """Creep of roll, pitch and yaw, each (3,).
 
-    variance: variance that creep adds [rad^2]. probability: probability that the mount creeps.
-    rate: [rad/segment]. moved: change between the first and the last third of the drive [rad].
-    since_middle: segments since the angle equalled the constant.
+    level: present angle minus the constant [rad]. variance: variance that creep adds [rad^2].
+    probability: probability that the mount creeps. rate: rate of change [rad/segment]. moved:
+    change of the fitted line over the whole drive [rad]. since_middle: number of segments since the
+    fitted line was equal to the constant.
     """
 
     level: Array
@@ -109,10 +114,12 @@ class Creep(Struct, frozen=True):
 
 
 def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep | None:
-    """Fit walks and rates to the residuals of the series from constants; None: too little data.
+    """Fit random walks and steady creep to the residuals of the series from their constants; None:
+    too little data.
 
-    The variance of a series shows by which factor its informations are too large. chance: prior
-    probability that the mount creeps, before any shift was found. shifts: number of shifts found.
+    The stated variance of a series shows by which factor its information is too large. chance:
+    prior probability that the mount creeps, before any shift was found. shifts: number of shifts
+    found.
     """
     n = max((len(one.left) for one in series), default=0)
     if n < FEWEST:
@@ -144,7 +151,7 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
 
 
 def _times(one: SegmentSeries) -> float:
-    """Return the factor by which the informations of a series are too large."""
+    """Return the factor by which the information of a series is too large."""
     times = max(one.variance * float(one.known.sum()), 1.0)
     if one.kind in EVEN:
         return min(times, _scatter(one.left, one.known))
@@ -152,11 +159,12 @@ def _times(one: SegmentSeries) -> float:
 
 
 def _apart(of_yaw: Sequence[tuple[SegmentSeries, float]]) -> float:
-    """Return the factor by which the two sources of yaw differ more than their deviations say.
+    """Return the ratio of the difference between the two sources of yaw to its expected size,
+    squared; at least 1.
 
-    A mount that creeps moves both alike, so their difference shows errors that last for minutes.
-
-    of_yaw: each source, and the factor by which its informations are too large.
+    Creep of the mount changes both sources equally. The difference between the two sources
+    therefore shows errors that last for minutes. of_yaw: each source, and the factor by which its
+    information is too large.
     """
     if len(of_yaw) < len(YAW) or len({len(one.left) for one, _ in of_yaw}) > 1:
         return 1.0
@@ -171,11 +179,12 @@ def _apart(of_yaw: Sequence[tuple[SegmentSeries, float]]) -> float:
 
 
 def _scatter(left: Array, known: Array) -> float:
-    """Return the factor by which informations are too large, from segments two apart.
+    """Return the factor by which the information is too large, from the differences between a
+    segment and the next but one.
 
-    Windows reach into the next segment, so segments two apart are compared. A drift hardly shows
-    over two segments, but it widens the spread about the mean, from which the variance of a source
-    was computed.
+    A window reaches into the next segment, so neighbouring segments are not compared. A drift is
+    small over two segments. The variance that a source states is not used here, because a drift
+    enlarges it.
     """
     near, far = known[2:], known[:-2]
     both = (near > 0.0) & (far > 0.0)
@@ -187,14 +196,14 @@ def _scatter(left: Array, known: Array) -> float:
 
 
 def _lean(left: Array, known: Array, expected: float) -> float:
-    """Return the factor by which informations are too large for errors that persist over segments,
-    as a drift does.
+    """Return the factor by which the information is too large if the errors persist over several
+    segments, as a drift does.
 
-    The factor may be less than one, without a floor: it is estimated from the segments themselves.
-    expected: the factor before any data, with the weight of `PRIOR_SEGMENTS`. The residuals about a
-    straight line are used, with the covariance of neighbours (Newey and West, Econometrica 55,
-    1987, with their weights and 4 (n / 100)^(2/9) lags). The result is not smaller than without
-    neighbours.
+    The factor may be less than 1 because it is estimated from the segments themselves. expected:
+    factor before any data, with the weight `PRIOR_SEGMENTS`. The calculation uses the residuals
+    about a straight line and the covariance of neighbouring segments (Newey and West, Econometrica
+    55, 1987, with their weights and 4 (n / 100)^(2/9) lags). The covariance can only increase the
+    factor.
     """
     use = known > 0.0
     w, score = known[use], left[use]
@@ -218,7 +227,8 @@ def _lean(left: Array, known: Array, expected: float) -> float:
 
 
 def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
-    """Return log likelihoods, final levels and their variances, beyond the constant's (3, K)."""
+    """Return log likelihoods, final levels and the variances of the levels (3, K), with the
+    constant subtracted."""
     total = np.maximum(known.sum(axis=1), 1e-12)[:, None]
     shape = len(known), len(WALKS)
     # of all segments at once (n, 3, 1)
@@ -258,8 +268,9 @@ def _run(
 ) -> None:
     """Run the filters over all segments (n, 3, 1), in place.
 
-    off, spread: (n, 3, K) the innovation of each filter and its variance. state, P: (2, 3, K), (3,
-    3, K) of level and rate, up to the end.
+    off, spread: (n, 3, K) innovation of each filter and its variance. state: (2, 3, K) level and
+    rate; P: (3, 3, K) their variances and covariance. state and P have the values after the last
+    segment in the end.
     """
     each_goes_on: list[bool] = np.all(goes_on, axis=(1, 2)).tolist()
     any_begins: list[bool] = np.any(begins, axis=(1, 2)).tolist()
@@ -280,14 +291,15 @@ def _run(
 
 
 def _gaps(each: Array) -> Array:
-    """Return the distance from the middle of the previous segment, in segments (n,)."""
+    """Return the distance from the middle of the previous segment to the middle of this one, in
+    segments (n,)."""
     gaps = np.zeros(len(each))
     gaps[1:] = 0.5 * (each[:-1] + each[1:])
     return gaps
 
 
 def _go_on(state: Array, P: Array, step: Array) -> None:
-    """Move level and covariance on by this many segments, in place; the rate stays."""
+    """Predict level and covariance `step` segments ahead, in place. The rate stays the same."""
     state[0] += step * state[1]
     after = P[1] + step * P[2]
     P[0] += step * (P[1] + after + WALK_VARIANCES)
@@ -295,8 +307,8 @@ def _go_on(state: Array, P: Array, step: Array) -> None:
 
 
 def _trend(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
-    """Return the slope of the straight line through the segments [rad/segment], its total change,
-    and the number of segments since it was zero.
+    """Return the slope of the straight line through the segments [rad/segment], the total change of
+    the line, and the number of segments since the line was zero.
     """
     at = np.cumsum(each) - 0.5 * each
     w = np.maximum(known, 0.0)

@@ -27,12 +27,12 @@ ANGLES = ("roll", "pitch", "yaw")
 BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))
 """Standard deviation of the change of a vehicle body's roll, pitch and yaw between drives [rad].
 
-Load and springs hardly change the yaw; tyres and axles change it a little.
+Load and springs hardly change the yaw. Tyres and axles change the yaw a little.
 """
 
 
 class MountState(enum.IntEnum):
-    """State of the mount calibration; the numbers are those on the bus."""
+    """State of the mount calibration. The numbers are also sent on the bus."""
 
     WAITING = 0
     LEVELLED = 1
@@ -44,11 +44,11 @@ class MountState(enum.IntEnum):
 
 
 GOOD_NAMES = ("usable", "fine")
-"""Names, as files and status carry them, of the states in which a mount counts as good."""
+"""Names of the states in which a mount counts as good. Files and `status` use these names."""
 
 
 class Missing(enum.IntEnum):
-    """Reason why an angle is not known yet; the numbers are those on the bus."""
+    """Reason why an angle is not known yet. The numbers are also sent on the bus."""
 
     NOTHING = 0
     STANDSTILL = 1
@@ -68,8 +68,8 @@ class Missing(enum.IntEnum):
 class Targets(Struct, frozen=True):
     """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
 
-    The targets are compared with `MountEstimate.judged_std`, whose value about x contains the
-    road's crown.
+    The targets are compared with `MountEstimate.judged_std`. The judged deviation about x may
+    contain the road's crown.
     """
 
     usable: tuple[float, float, float]
@@ -79,8 +79,8 @@ class Targets(Struct, frozen=True):
 class Gate(Struct, frozen=True):
     """One condition of the next state.
 
-    share: fraction that is met (0 to 1). left: time of driving until it is met [s], at the pace of
-    the last minutes; None: not known.
+    share: fulfilled share (0 to 1). left: driving time until the condition is met [s], at the pace
+    of the last minutes; None: not known.
     """
 
     name: str
@@ -101,17 +101,18 @@ def _rows(matrix: Matrix3) -> Rows:
 
 
 HOUSING = ""
-"""Name in place of a channel: the rotation alone, see `Correction.matrix_and_offset`."""
+"""Channel name for the rotation alone, see `Correction.matrix_and_offset`."""
 NO_OFFSET: Vector = (0.0, 0.0, 0.0)
 
 
 class Correction(Struct, frozen=True):
     """Correction of the samples of the next tick; matrices row by row.
 
-    rotation: R_vehicle_from_sensor of the housing. It applies to other sensors in the housing with
-    parallel axes, such as a magnetometer, whose own errors are unknown. force, force_offset: W and
-    o [m/s^2, vehicle axes]. The accelerometer's W f_sensor - o is sent. rate, rate_offset: the same
-    for the gyroscope [rad/s].
+    rotation: R_vehicle_from_sensor of the housing. This rotation is also applied to other sensors
+    in the housing with parallel axes and unknown errors, such as a magnetometer. force,
+    force_offset: matrix W and offset o of the accelerometer [m/s^2, vehicle axes]. The corrected
+    sample is W f_sensor - o. rate, rate_offset: matrix and offset of the gyroscope [rad/s], used in
+    the same way.
     """
 
     rotation: Rows
@@ -122,7 +123,8 @@ class Correction(Struct, frozen=True):
 
     @classmethod
     def turning(cls, R_vehicle_from_sensor: Matrix3) -> Correction:
-        """Return the correction for sensors without own errors: a rotation (3, 3) alone."""
+        """Return the correction for sensors without errors of their own: a rotation (3, 3)
+        alone."""
         rows = _rows(R_vehicle_from_sensor)
         return cls(rows, rows, rows)
 
@@ -142,13 +144,13 @@ class Correction(Struct, frozen=True):
 
     @property
     def is_rotation(self) -> bool:
-        """True if the correction of both sensors is a rotation and nothing else."""
+        """True if the correction of both sensors is a pure rotation."""
         is_one = self.force == self.rotation and self.rate == self.rotation
         return is_one and self.force_offset == NO_OFFSET and self.rate_offset == NO_OFFSET
 
     def matrix_and_offset(self, channel: str) -> tuple[Rows, Vector]:
-        """Return matrix and offset for the samples of a channel; the rotation alone except for two
-        channels.
+        """Return the matrix and the offset for the samples of a channel. A channel other than
+        "accel" and "gyro" gets the rotation alone.
         """
         if channel == "accel":
             return self.force, self.force_offset
@@ -157,7 +159,7 @@ class Correction(Struct, frozen=True):
         return self.rotation, NO_OFFSET
 
     def applied(self, channel: str, values: Sequence[float]) -> Vector:
-        """Return a sample (3,) of a channel in vehicle axes."""
+        """Return the corrected sample (3,) of a channel in vehicle axes."""
         # Each sample on a bus passes through here: `matrix_and_offset` and `times` would double
         # the time.
         if channel == "accel":
@@ -183,9 +185,10 @@ class Correction(Struct, frozen=True):
 class SentDeviations(Struct, frozen=True):
     """Standard deviations of the errors that remain in corrected samples of force and rate.
 
-    E = (applied matrix)(response of the sensor) - 1. xy, yx, zx, zy: cross-talk E_xy, ... of the
-    force; E_xy is the part of a lateral force that the forward axis shows [rad]. zero_x, zero_y:
-    force that is shown on level ground [m/s^2]. rate_xz, rate_yz: E_xz and E_yz of the rate [rad].
+    The error matrix is E = (applied matrix)(response of the sensor) - 1. xy, yx, zx, zy: cross-talk
+    E_xy, E_yx, E_zx, E_zy of the force. E_xy is the part of a lateral force that the forward axis
+    shows [rad]. zero_x, zero_y: corrected force on level ground [m/s^2]. rate_xz, rate_yz: E_xz and
+    E_yz of the rate [rad].
     """
 
     xy: float
@@ -201,18 +204,17 @@ class SentDeviations(Struct, frozen=True):
     def of_rotation(
         cls, x: float, y: float, z: float, zero: tuple[float, float] = (0.0, 0.0)
     ) -> SentDeviations:
-        """Return the deviations if a rotation alone is applied, from its own about the vehicle's
-        axes [rad].
+        """Return the deviations of samples that are corrected by a rotation alone.
 
-        The deviations describe the angle of the housing. A rotation with the error e leaves E =
-        -skew(e). One angle is then in several entries, which are not independent. Cross-axis errors
-        of the sensors are included only as far as the covariance was widened for them. The
-        deviation about x contains the crown of roads, so zy and zero_y contain it too.
-
-        zero: the estimated zero of the accelerometer, level part in vehicle axes [m/s^2]. The
-        rotation does not remove this zero, so it stays in the force on level ground. An error of
-        that estimate leaves nothing there: the rotation is found from gravity minus the estimate,
-        so its error has the same size and the opposite sign.
+        x, y, z: deviations of this rotation about the vehicle's axes [rad]. A rotation with the
+        error e leaves E = -skew(e). The same angle is then in several entries of E, so the entries
+        are not independent. Cross-axis errors of the sensors are included only as far as the
+        covariance was enlarged for them. The deviation about x contains the crown of roads, so zy
+        and zero_y contain the crown too. zero: level part of the accelerometer's estimated zero
+        error, in vehicle axes [m/s^2]. The rotation does not remove this zero error, so it remains
+        in the force on level ground. An error of the estimated zero error has no effect on level
+        ground: the rotation is computed from gravity minus the estimate, so the rotation has an
+        error of the same size and the opposite sign.
         """
         level = math.hypot(GRAVITY * y, zero[0]), math.hypot(GRAVITY * x, zero[1])
         return cls(z, z, y, x, *level, y, x)
@@ -223,15 +225,15 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
     R_vehicle_from_sensor: (3, 3), or None before there is any estimate. covariance: (3, 3) of the
     rotation-vector error about the vehicle's axes [rad^2]: R_true = exp(skew(e)) @
-    R_vehicle_from_sensor with e ~ (0, covariance). waiting_for: for each angle, the missing
-    evidence in words; no entry where nothing is missing. missing: the same as codes for the bus.
-    faults: present contradictions between signals, by the names of `contradictions.StandingFault`.
-    While a fault is present, no data are sent as good. targets: limits for `judged_std`; None if
-    the estimator states none. progress: progress to the next state; None if driving cannot reach
-    this state. judged_as: (3,) deviations that are judged instead of those of the housing's
-    rotation [rad]; None: `std` itself is judged. matrices: correction that will be applied once the
-    transition is over, where it is more than the rotation. deviations: deviations that this
-    correction leaves in the samples; None: `sent` follows from the covariance.
+    R_vehicle_from_sensor with e ~ (0, covariance). waiting_for: missing evidence of each angle in
+    words; an angle without missing evidence has no entry. missing: missing evidence of each angle
+    as a code for the bus. faults: present contradictions between signals, by the names of
+    `contradictions.StandingFault`. While a fault is present, no data are sent as good. targets:
+    limits for `judged_std`; None if the estimator has no limits. progress: progress to the next
+    state; None if driving cannot reach the next state. judged_as: (3,) deviations that are compared
+    with the targets [rad]; None: `std` is compared. matrices: correction that will be applied once
+    the transition is over; None: the correction is the rotation alone. deviations: deviations of
+    the errors that remain after `matrices`; None: `sent` is computed from the covariance.
     """
 
     state: MountState
@@ -249,7 +251,8 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
     @property
     def judged_std(self) -> tuple[float, float, float] | None:
-        """Deviations about the vehicle's x, y, z [rad] by which states are judged, or None."""
+        """Deviations about the vehicle's x, y, z [rad] that are compared with the targets, or
+        None."""
         return self.std if self.judged_as is None else self.judged_as
 
     @cached_property
@@ -261,7 +264,7 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
     @cached_property
     def sent(self) -> SentDeviations | None:
-        """Deviations of the data that a consumer gets, or None."""
+        """Deviations of the errors in the corrected samples, or None."""
         if self.deviations is not None or self.std is None:
             return self.deviations
         return SentDeviations.of_rotation(*self.std)
@@ -290,24 +293,24 @@ class MountEstimate(Struct, frozen=True, dict=True):
 
     @cached_property
     def angle_std(self) -> tuple[float, float, float] | None:
-        """Standard deviations [rad] of roll, pitch and yaw themselves; inf if not known."""
+        """Standard deviations [rad] of the angles roll, pitch and yaw; inf if not known."""
         if self.R_vehicle_from_sensor is None or self.covariance is None:
             return None
         return angle_deviations(self.R_vehicle_from_sensor, self.covariance.tolist())
 
 
 class MountEstimator(Protocol):
-    """Interface of every mount estimator. Pure: no I/O, no clock.
+    """Interface of every mount estimator. An estimator does no I/O and reads no clock.
 
-    The pipeline calls `step` once per closed tick (10 Hz, see `motion.ticks`), in time order,
-    without holes. The pipeline calls `gap` when time jumps before the next tick. The pipeline reads
-    `correction` after each step and applies it to all samples of the next tick; None means not
-    usable.
+    The pipeline calls `step` once per closed tick (10 Hz, see `motion.ticks`), in time order and
+    without holes. If time jumps, the pipeline calls `gap` before the next tick. The pipeline reads
+    `correction` after each step and applies it to all samples of the next tick. A correction of
+    None means that there is no usable correction.
     """
 
     @property
     def correction(self) -> Correction | None:
-        """Correction to apply now (smooth from tick to tick), or None: not usable yet."""
+        """Present correction, which changes smoothly from tick to tick, or None: not usable yet."""
         ...
 
     @property
@@ -321,7 +324,8 @@ class MountEstimator(Protocol):
         ...
 
     def gap(self) -> None:
-        """Note a jump of time: no difference is taken between values before and after it."""
+        """Note a jump of time: no difference is taken between values before the jump and values
+        after it."""
         ...
 
     def estimate(self) -> MountEstimate:
@@ -335,31 +339,31 @@ class JudgesSignals(Protocol):
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """For each channel, whether it was stuck in the last block.
+        """True or False for each channel: whether the channel was stuck in the last block.
 
-        The mapping is new for every block.
+        The mapping is a new object for every block.
         """
         ...
 
 
 @runtime_checkable
 class KeepsTicks(Protocol):
-    """Interface of an estimator that only stores most ticks; replay hands over such ticks together.
+    """Interface of an estimator that only stores most ticks. Replay passes such ticks together.
 
-    The result equals that of `step` tick by tick, to the last bit.
+    The result equals the result of `step` tick by tick, to the last bit.
     """
 
     def expect(self, ticks: NDArray[np.float64]) -> None:
         """Prepare the next ticks (n, COLUMNS) together, which makes some of the work faster.
 
-        `step` or `keep_quiet` must still take these ticks, unless time jumps before.
+        The caller must still pass these ticks to `step` or `keep_quiet`, unless time jumps before.
         """
         ...
 
     def quiet_ticks(self) -> int:
-        """Number of next ticks that change neither correction, state nor estimate."""
+        """Return the number of next ticks that change neither correction, state nor estimate."""
         ...
 
     def keep_quiet(self, ticks: NDArray[np.float64]) -> None:
-        """Take ticks (n, COLUMNS), no more than `quiet_ticks`."""
+        """Take ticks (n, COLUMNS). n must not be larger than `quiet_ticks`."""
         ...

@@ -1,23 +1,26 @@
-"""The mount estimator: the response of both sensors to the vehicle's motion, with a matrix each.
+"""The mount estimator: it finds a matrix for the accelerometer and a matrix for the gyroscope.
 
 Order of the steps:
 
-1. Every tick goes to `SignalBlockMaker`; every 6.4 s it gives a block of even signals, each tick
-with a flag that says whether it is usable (`motion.signal_health`).
-2. `CarriedForce` carries the vertical through the block and removes it from the force.
-3. `SignalChecks` compares the signals with one another: a contradiction that begins or ends makes
-   the search start again.
-4. `Evidence` takes the block and, when enough has come, solves for all unknowns (`joint.state`).
-5. `joint.sudden_changes`, `joint.moves` and `MountChanges` compare the block with what was known
-   before it. If the sensor was moved, the mount becomes suspect and the evidence begins again with
-   the data after the move. If the move misleads no consumer, it is reported, and the deviation
-   covers it until the evidence after it is enough.
-6. `ServedMount` gives the state, with hysteresis, and follows a good correction without a jump.
-   `MountEstimate` reports all of it, and what each angle waits for.
+1. `SignalBlockMaker` takes every tick. Every 6.4 s it returns a block of signals on an even time
+grid. Each tick of the block has a flag that says whether the tick is usable
+(`motion.signal_health`).
+2. `CarriedForce` integrates the direction of gravity through the block and subtracts gravity from
+the force.
+3. `SignalChecks` compares the signals with one another. When a contradiction begins or ends, the
+search for the mount starts again.
+4. `Evidence` takes the block and, when there is enough evidence, solves for all unknowns
+(`joint.state`).
+5. `joint.sudden_changes`, `joint.moves` and `MountChanges` compare the block with the earlier
+estimate. If the sensor was moved, the mount becomes suspect and the evidence begins again with the
+data after the move. A move that is too small to mislead a consumer is only reported. The deviation
+is then enlarged by this move until there is enough evidence after the move.
+6. `ServedMount` determines the state, with hysteresis, and changes the applied correction without a
+jump. `MountEstimate` reports state and correction, and the evidence that each angle still needs.
 
-Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. Without a speed, it
-eliminates the speed as an unknown (`drive.unknown_speed`); steps 3 and 5 then test nothing that
-needs a speed.
+Without a gyroscope, the evidence uses the vehicle's yaw rate or steering angle. Without a speed
+signal, the evidence eliminates the speed as an unknown (`drive.unknown_speed`). Steps 3 and 5 then
+skip the tests that need a speed.
 """
 
 from __future__ import annotations
@@ -81,50 +84,51 @@ from imucald.mount.states import Manoeuvres, MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
 
 KEPT_BLOCKS = 55
-"""Blocks that are stored: 350 s."""
+"""Number of blocks that are stored: 350 s."""
 OPEN_BLOCKS = 20
-"""Blocks (2 min) after which new evidence answers what a sudden change was: the filter has taken it
-up by then.
+"""Number of blocks (2 min) after which new evidence decides the cause of a sudden change. After
+this time, the filter has absorbed the change.
 """
 FAILED_BLOCKS = 14
-"""Numbers out of range stay reported as a fault for this many blocks after the last of them (90 s).
+"""Number of blocks (90 s) for which numbers out of range remain reported after their last
+occurrence.
 """
 MINUTE_BLOCKS = 10
-"""Blocks (a minute) that decide which conditions are missing. A condition that fails in a single
-block usually returns.
+"""Number of blocks (a minute) that decide which conditions are missing. A condition that fails in a
+single block is usually met again soon.
 """
 TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
-"""Learning counts as frozen when at least this many ticks of a block are not trusted."""
+"""Number of ticks of a block that are not trusted, from which learning counts as frozen."""
 SOLUTIONS_KEPT = 32
-"""Number of solutions kept: those of the first three minutes; later ones are further apart."""
+"""Number of stored solutions: all solutions of the first three minutes. Later solutions are further
+apart in time."""
 MOVE_UNSEEN_S = 60.0
-"""The found time of a move is exact to one or two blocks, and too late for a slow move. Blocks
-within this time before it may therefore contain a part of the move.
+"""Uncertainty of the time of a move. The time found is exact to one or two blocks, but too late for
+a slow move. Blocks within 60 s before this time may therefore contain a part of the move.
 """
 STEERING_ZERO = math.radians(2.0)
-"""Zero error of an angle of the steering wheel that nothing has measured (assumption)."""
+"""Assumed zero error of a steering wheel angle whose zero error was not measured."""
 ASKED = 2
-"""The test for a moved sensor runs once in this many blocks (13 s)."""
+"""Interval of the test for a moved sensor, in blocks (13 s)."""
 REMEMBERED = 240
-"""Blocks (26 min) for which the knowledge of a drift is kept."""
+"""Number of blocks (26 min) for which the estimated drift is stored."""
 CREEP_CHANCE = 0.05
-"""Probability that the mount creeps: one sensor in twenty is held by tape or a soft holder
-(assumption).
-"""
+"""Assumed probability that the mount creeps: one sensor in twenty is held by tape or a soft
+holder."""
 UNKNOWN_YAW = (math.pi / math.sqrt(3.0)) ** 2
 """Variance of an unknown direction [rad^2]."""
 
 
 class JointEstimator:
-    """Estimate the response of both sensors; see the steps in the module docstring.
+    """Estimates the response of both sensors to motion. The steps are in the module docstring.
 
     `_signals`: ticks, offsets, signal health. `_joint`: the evidence since the last move of the
-    sensor, with the earlier knowledge of the sensor itself (`known`). `_carried`: the vertical in
-    the same time. `_checks`, `_changes`: evidence against the rotation. `_known`: knowledge by
-    which the state is judged. `_served`: the state and the applied correction. After a move that
-    misleads no consumer, the earlier solution is served with deviations widened by the move, until
-    `_next` is usable.
+    sensor, with the earlier knowledge of the sensor itself (`known`). `_carried`: direction of
+    gravity in the same time. `_checks`, `_changes`: evidence against the rotation. `_known`:
+    knowledge by which the state is judged. `_served`: the state and the applied correction.
+    `_next`: the evidence after a move that is too small to mislead a consumer. Until `_next` is
+    usable, the earlier solution is applied, with its deviations enlarged by the move.
     """
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
@@ -171,24 +175,25 @@ class JointEstimator:
 
     @property
     def solution(self) -> Solution | None:
-        """Response of both sensors to motion, as known now; None before it is known."""
+        """Present solution: the response of both sensors to motion; None before it is known."""
         return self._joint.solution
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Contradictions that stand now, by the names of `StandingFault`."""
+        """Present contradictions, by the names of `StandingFault`."""
         return tuple(fault.value for fault in self._checks.standing)
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """For each vehicle signal, whether it is stuck, see `mount.estimate.JudgesSignals`."""
+        """True or False for each vehicle signal: whether it is stuck, see
+        `mount.estimate.JudgesSignals`."""
         return self._signals.stuck
 
     def take_usual_signals(self, former: JointEstimator, channels: Collection[str]) -> None:
-        """Take over, from another estimator, how long the vehicle's signals usually keep a value.
+        """Take over the usual repeat times of the vehicle's signals from another estimator.
 
-        channels: those that come from the same sources in both. Nothing is taken from a signal that
-        is stuck.
+        channels: channels that have the same sources in both estimators. A signal that is stuck is
+        left out.
         """
         self._signals.health.take_usual(former._signals.health, channels)
 
@@ -215,7 +220,7 @@ class JointEstimator:
         self._signals.push_all(ticks)
 
     def gap(self) -> None:
-        """Note a jump of time: signals before it are not joined with those after it."""
+        """Note a jump of time: signals before the jump are not joined with signals after it."""
         self._signals.restart()
         self._kept.clear()
         self._carried.gap()
@@ -233,7 +238,7 @@ class JointEstimator:
         return Evidence(self.priors, known, is_moved, past, *vehicle)
 
     def _signals_now(self) -> OtherSignals:
-        """Return the signals that are available besides the accelerometer by now."""
+        """Return which signals other than the accelerometer are available at present."""
         s, speed = self._settings, not self._signals.without_speed
         if self._has_gyro:
             return OtherSignals(speed=speed)
@@ -247,7 +252,7 @@ class JointEstimator:
 
     @property
     def priors(self) -> Priors:
-        """Assumptions before any data, with what the configuration states."""
+        """Priors of the solution, including the values of the configuration."""
         s = self._settings
         configured = s.calibration.cross_axis
         usual = Priors()
@@ -260,7 +265,7 @@ class JointEstimator:
     # what is the sensor's own -------------------------------------------------------------------
 
     def known_sensor(self) -> KnownSensor | None:
-        """Knowledge about the sensor itself, independent of the mount."""
+        """Return the knowledge about the sensor itself, which does not depend on the mount."""
         known, creep = self._joint.known_sensor, self._creep
         if known is None or creep is None or self.solution is None:
             return known
@@ -268,19 +273,21 @@ class JointEstimator:
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of the mount against that of an earlier drive; None: none is compared."""
+        """Chi-square (3 degrees of freedom) between this mount and the mount of an earlier drive;
+        None: there is no comparison."""
         if self.solution is None or self._joint.is_moved:
             return None
         return self.solution.contradiction
 
     def leave_mount(self) -> None:
-        """Use the earlier knowledge of the sensor for another mount: it was moved since."""
+        """Discard the mount of the earlier drive because the sensor was moved since, and keep the
+        knowledge of the sensor itself."""
         self._joint.leave_mount()
 
     def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
-        """Begin with what an earlier drive found of the sensor.
+        """Begin with the knowledge of the sensor from an earlier drive.
 
-        This is ignored once the present drive has begun.
+        The call has no effect once the present drive has begun.
         """
         if self._joint.seconds:
             return
@@ -288,7 +295,8 @@ class JointEstimator:
         self._joint = self._new_evidence(self._known_before, is_moved)
 
     def _solution_until(self, t: float) -> Solution | None:
-        """Return the solution from a time early enough to contain no move at t [s]."""
+        """Return a solution from a time early enough to contain no move at t [s]; None if no such
+        solution is stored."""
         for end, solution in reversed(self._lately_known):
             if end <= t - MOVE_UNSEEN_S:
                 return solution
@@ -299,7 +307,8 @@ class JointEstimator:
     def _take_block(self, p: SignalBlock) -> None:
         """Learn from a block.
 
-        Numbers beyond the range of the arithmetic freeze learning and are reported.
+        If numbers are beyond the range of the arithmetic, the evidence begins again and a fault is
+        reported.
         """
         self._failed_for = max(self._failed_for - 1, 0)
         try:
@@ -311,7 +320,7 @@ class JointEstimator:
         self._judge(p)
 
     def _learn_from(self, p: SignalBlock) -> None:
-        """Steps 2 to 5."""
+        """Do steps 2 to 5 of the module docstring."""
         carried, signals, changes = self._carried, self._signals, self._changes
         is_watched = self._watched is not None
         self._now = float(p.t[-1])
@@ -373,7 +382,8 @@ class JointEstimator:
             self._checks.forget_forces()  # the forces showed another rotation
 
     def _follow_signals(self) -> None:
-        """Use the last blocks again with all signals that have come since."""
+        """Begin new evidence with all signals that are now available, and use the stored blocks
+        again."""
         former, kept = self._next or self._joint, list(self._kept)
         if self._now > self._taken_until:  # the last one is taken after this
             kept.pop()
@@ -400,7 +410,7 @@ class JointEstimator:
         self._creep, self._crept = None, 0
 
     def _follow_creep(self) -> None:
-        """Test once a road segment whether the mount creeps."""
+        """Test whether the mount creeps, once in each road segment."""
         if self._joint.has_fitted and self._joint.segment != self._crept:
             self._crept = self._joint.segment
             self._creep = self._joint.creep(CREEP_CHANCE, len(self._changes.history))
@@ -419,7 +429,8 @@ class JointEstimator:
         return MountSoFar(carried.R[0], up, *carried.delay[:2])
 
     def _follow_steering(self, p: SignalBlock) -> None:
-        """Find the steering offset from the measured yaw rate; steering alone shows no offset."""
+        """Estimate the steering offset from the measured yaw rate. The steering angle alone shows
+        no offset."""
         measured = self._carried.own_gyro or "yaw_rate" in self._signals.seen
         if not measured or not np.count_nonzero(p.ok_steering) or self._signals.without_speed:
             return
@@ -438,8 +449,8 @@ class JointEstimator:
     ) -> bool:
         """Look for a rotation by several degrees, and for gravity far from the vertical.
 
-        turned: result of the block alone. is_watched: a filter tests for sudden changes. Returns
-        True if there was a change, which is then handled.
+        turned: result of the test of this block alone. is_watched: a filter tests for sudden
+        changes. Returns True if there was a change. The change is then handled.
         """
         carried, changes = self._carried, self._changes
         if carried.R is None:
@@ -462,7 +473,8 @@ class JointEstimator:
 
     @property
     def _watched(self) -> Evidence | None:
-        """The evidence whose filter tests for sudden changes, once its solution can be used."""
+        """The evidence whose filter tests for sudden changes; None while its solution cannot be
+        used."""
         evidence = self._next or self._joint
         is_possible = evidence.signals.gyro and evidence.signals.speed
         if not is_possible or self._checks.is_motion_accused:
@@ -470,9 +482,10 @@ class JointEstimator:
         return evidence if self._is_usable(evidence.solution) else None
 
     def _sudden_change(self) -> SuddenTurn | None:
-        """Return a sudden turn of the sensor that is certain; begin again after a step of a zero.
+        """Return a sudden turn of the sensor that is certain. Begin the evidence again after a step
+        of a zero error.
 
-        A question that stays open is answered by new evidence.
+        If it stays open which of the two has happened, new evidence decides.
         """
         evidence, self._is_gravity_open, self._instead = self._watched, False, -math.inf
         found = None if evidence is None else evidence.sudden_change()
@@ -502,7 +515,7 @@ class JointEstimator:
         return None
 
     def _small_change(self) -> Move | None:
-        """Return a small move of the sensor in the last minutes that is certain."""
+        """Return a certain small move of the sensor in the last minutes, or None."""
         if self._signals.blocks % ASKED:
             return None
         asked = self._joint if not self._joint.signals.speed else self._next or self._joint
@@ -517,7 +530,7 @@ class JointEstimator:
         return found if found.is_certain else None
 
     def _take_change(self, found: MountChange) -> None:
-        """Handle a moved sensor: only the blocks after the move count."""
+        """Handle a moved sensor: the evidence continues with the blocks after the move only."""
         after = blocks_since(found, self._kept)
         since = found.blocks if isinstance(found, Move) else 0
         changes, block, good = self._changes, self._signals.blocks, self._good_mount()
@@ -548,10 +561,10 @@ class JointEstimator:
         before: CarriedForce | None = None,
         turn: Array | None = None,
     ) -> None:
-        """Carry the vertical through these blocks alone.
+        """Integrate the direction of gravity again, through these blocks alone.
 
-        before: begin with its rotation, turned by the sensor's turn (3,) since [rad]; it is nearly
-        the present one.
+        before: object whose rotation is the start, turned by `turn`, the rotation vector (3,) of
+        the sensor since then [rad]. This rotation is close to the present one.
         """
         self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
         if before is not None:
@@ -560,7 +573,8 @@ class JointEstimator:
             self._driven.add_accelerations(*self._carried.take_block(p))
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
-        """Begin again from these blocks, without the rotation so far even as a hint."""
+        """Begin again from these blocks. The rotation found so far is not used, not even as a
+        hint."""
         self._changes.end_of_mounting(self._good_mount())
         self._begin_afresh(blocks)
 
@@ -580,12 +594,13 @@ class JointEstimator:
         self._forget_moves()
 
     def _began(self, blocks: list[SignalBlock], since: int) -> float:
-        """Return the time [s] from which the blocks after a move are. since: as in `_filled`."""
+        """Return the time [s] at which the blocks after a move begin. since: as in `_filled`."""
         began = float(blocks[0].t[0]) if blocks else self._now
         return min(began, self._now - since * BLOCK_S) if since > len(blocks) else began
 
     def _filled(self, blocks: list[SignalBlock], since: int = 0) -> Evidence:
-        """Return the evidence after a move. since: number of blocks after it, if fewer are kept."""
+        """Return new evidence with the blocks after a move. since: number of blocks since the move;
+        it is larger than the number of given blocks if older blocks are no longer stored."""
         began = self._began(blocks, since)
         if (before := self._solution_until(began)) is not None:
             self._known_before = before.sensor(self.priors)
@@ -602,8 +617,8 @@ class JointEstimator:
     # judging, and saying what is known --------------------------------------------------------
 
     def _judge(self, p: SignalBlock) -> None:
-        """Judge the state. A drifted zero stays at its new, unknown value until the end of the
-        drive.
+        """Judge the state. After a drift of its zero error, the accelerometer has a fault until the
+        end of the drive, because the new zero error is unknown.
         """
         checks, block = self._checks, self._signals.blocks
         self._fits_no_sensor &= not self._is_usable(self.solution)
@@ -623,8 +638,10 @@ class JointEstimator:
         self._progress.note_knowledge(block * BLOCK_S, self._known, self._settings, acceptance)
 
     def _stepped_zeros(self) -> Iterator[StandingFault]:
-        """Yield the faults of an accelerometer whose zero has stepped along or across the vertical,
-        and not back. New evidence knows the level zero better than the step.
+        """Yield the faults of an accelerometer whose zero error has stepped and not returned, along
+        or across the vertical.
+
+        If a new solution is usable, the level part of the step is computed from the new solution.
         """
         R = self._carried.R
         if R is None or not self._stepped.any():
@@ -638,7 +655,8 @@ class JointEstimator:
             yield StandingFault.ACCEL_ZERO
 
     def _hold_against_orientation(self) -> None:
-        """Compare what a person states of the sensor's axes with the rotation, or with gravity."""
+        """Compare the orientation that a person states with the estimated rotation, or with
+        gravity."""
         R, is_yaw_known = self._carried.R, True
         if R is None:
             level = self._carried.levelled(self.priors.zero)
@@ -648,7 +666,7 @@ class JointEstimator:
         self._checks.hold_against_orientation(R, is_yaw_known, self._signals.blocks)
 
     def _good_mount(self) -> GoodMount | None:
-        """Return the mount that is good now."""
+        """Return the present good mount, or None."""
         good = self._served.good
         return None if good is None else GoodMount(good.rotation, self._stated())
 
@@ -656,22 +674,23 @@ class JointEstimator:
         return solution.sent(self._turned(), self._drift.variance())
 
     def _turned(self) -> Array:
-        """Return the variance (3,) of a rotation that is tolerated or not certain, and of creep
-        [rad^2].
+        """Return the additional variance (3,) of the rotation [rad^2], from tolerated moves,
+        uncertain moves and creep.
         """
         variance = self._changes.borne**2 + self._doubt**2
         return variance if self._creep is None else variance + self._creep.variance
 
     def _stated(self) -> tuple[float, ...]:
-        """Return the deviations (3,) of the housing's angles, without an unconfirmed change
-        [rad]."""
+        """Return the deviations (3,) of the housing's angles [rad]. An unconfirmed change is not
+        included."""
         if self.solution is None:
             return (math.inf,) * 3
         own = self.solution.covariance[PHI, PHI].diagonal() + self._changes.borne**2
         return tuple(np.sqrt(own).tolist())
 
     def _misleading(self) -> tuple[float, ...]:
-        """Return the deviations (3,) of sent data, as angles, without an unconfirmed change."""
+        """Return the deviations (3,) of corrected data, as angles [rad]. An unconfirmed change is
+        not included."""
         if self.solution is None:
             return (math.inf,) * 3
         return _as_angles(self.solution.sent(self._changes.borne**2))
@@ -730,7 +749,7 @@ class JointEstimator:
         )
 
     def _found_correction(self) -> Correction:
-        """Return the correction that the solution so far asks for."""
+        """Return the correction that follows from the present solution."""
         solution, last, creep = self.solution, self._corrected, self._creep
         assert solution is not None
         if last is None or last[0] is not solution or last[1] is not creep:
@@ -741,8 +760,8 @@ class JointEstimator:
         return last[2]
 
     def estimate(self) -> MountEstimate:
-        """Return the present state of knowledge; the object stays the same until something was
-        learnt.
+        """Return the present estimate. The returned object is the same until the estimator has
+        learnt something new.
         """
         if self._estimate is None:
             self._estimate = self._new_estimate()
@@ -782,10 +801,11 @@ class JointEstimator:
         )
 
     def _housing(self) -> tuple[Matrix3 | None, Array | None]:
-        """Return R_vehicle_from_sensor (3, 3) and its covariance (3, 3), as far as they are known.
+        """Return R_vehicle_from_sensor (3, 3) and its covariance (3, 3); None for a part that is
+        not known.
 
-        The covariance is too small if the cross-axis errors are antisymmetric: these look like a
-        rotation, and their size is judged by the symmetric ones.
+        The covariance is too small if the cross-axis errors are antisymmetric. Antisymmetric errors
+        look like a rotation, and their size is estimated from the symmetric errors.
         """
         if self.solution is not None:
             covariance = self.solution.covariance[PHI, PHI] + np.diag(self._turned())
@@ -801,13 +821,15 @@ class JointEstimator:
     def take_stated_mount(self, R: Matrix3) -> None:
         """Take the mount that a person states.
 
-        If it is the mount that is found, it excludes alternatives that no signal can exclude.
+        If the estimate agrees with this mount, the statement excludes alternatives that no signal
+        can exclude.
         """
         self._checks.take_mount(R)
 
 
 def _is_solved(evidence: Evidence) -> bool:
-    """Solve if it is due. False: the signals contradict one another; `SignalChecks` shows which."""
+    """Solve if a solution is due. Returns False if the signals contradict one another;
+    `SignalChecks` then reports the contradiction."""
     try:
         evidence.solve_when_due()
     except np.linalg.LinAlgError:
@@ -816,12 +838,13 @@ def _is_solved(evidence: Evidence) -> bool:
 
 
 def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:
-    """Return level zero y and x as tilts, and the larger of cross-talk xy and yx as a yaw [rad]."""
+    """Return three angles [rad]: level zero y and level zero x as tilts, and the larger of
+    cross-talk xy and yx as a yaw."""
     return sent.zero_y / GRAVITY, sent.zero_x / GRAVITY, max(sent.xy, sent.yx)
 
 
 def _block(p: SignalBlock, signals: OtherSignals) -> Block:
-    """Return the part of a block that the joint solution uses, for the signals that the vehicle
+    """Return the part of a block that the joint solution uses. signals: signals that the vehicle
     has.
     """
     use, speed = p.ok_force & p.learn, p.speed

@@ -1,7 +1,6 @@
 """Settings of the joint estimator about sensor, vehicle and road: priors, limits, delays.
 
-Every figure here is a prior or a limit on which the intervals rely. `priors` gives the source of
-each.
+The intervals of the estimate depend on these values. `priors` gives the source of each value.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class DelayPrior(Struct, frozen=True):
 
 
 class Limits(NamedTuple):
-    """Standard deviations [rad] below which an estimate is usable, and fine."""
+    """Standard deviations [rad] below which an estimate is usable, or fine."""
 
     usable_yaw: float
     usable_tilt: float
@@ -52,10 +51,11 @@ class Limits(NamedTuple):
 
 
 class MountSettings(Struct, frozen=True, dict=True):
-    """Settings that both estimators take from the configuration or, if it has them, from the model
+    """Settings of both estimators, from the configuration or, where it has them, from the model
     file.
 
-    crown_mean: mean lean of the roads towards the kerb (tangent); None: that of the configuration.
+    crown_mean: mean lean of the roads towards the kerb (tangent); None: use the value of the
+    configuration.
     """
 
     OWN_LIMITS: ClassVar[Limits]
@@ -73,7 +73,8 @@ class MountSettings(Struct, frozen=True, dict=True):
 
     @cached_property
     def limits(self) -> Limits:
-        """Limits of the states: the configured ones, otherwise those of the estimator itself."""
+        """Limits of the states: the configured limits, otherwise the limits of the estimator
+        itself."""
         given, own = self.calibration.states, self.OWN_LIMITS
         return Limits(
             given.usable_yaw or own.usable_yaw,
@@ -84,18 +85,18 @@ class MountSettings(Struct, frozen=True, dict=True):
 
     @cached_property
     def targets(self) -> Targets:
-        """Limits about each axis of the vehicle, including the crown, which the roll always
-        contains.
+        """Limits about each axis of the vehicle. The limit about x includes the crown, because the
+        roll always contains the crown.
         """
         return self.limits.about_axes(self.vehicle.crown_std)
 
 
 LEVEL = (0.2, 0.1)
-"""Level zero below which an estimate is usable, and fine [m/s^2]."""
+"""Level zero below which an estimate is usable, and below which it is fine [m/s^2]."""
 
 
 class EstimatorSettings(MountSettings, frozen=True):
-    """Settings by the user, settings by a model file, and fixed priors. SI units, rad."""
+    """Settings by the user, settings from a model file, and fixed priors. SI units, rad."""
 
     OWN_LIMITS = Limits(
         usable_yaw=math.radians(1.0),
@@ -103,29 +104,30 @@ class EstimatorSettings(MountSettings, frozen=True):
         fine_yaw=math.radians(0.3),
         fine_tilt=LEVEL[1] / GRAVITY,
     )
-    """Limits of the cross-talk xy and yx as yaw, and of the level zero as tilt."""
+    """Limits of the cross-talk xy and yx, as a yaw angle, and of the level zero, as a tilt."""
 
     slope_std: float = SLOPE_STD
-    """Road slope along and (about its mean) across the vehicle, rms tangent."""
+    """Road slope along the vehicle, and across it about the mean lean, rms tangent."""
     slope_length: float = SLOPE_LENGTH
     """Correlation length of the slope along the road [m]."""
     unevenness: tuple[float, float] = (1.0, 1.0)
-    """Factors on `slope_std` for the tangents across and along the road, where a model says that
-    roads are more uneven. The tests for a moved sensor use them.
+    """Factors on `slope_std` for the tangents across and along the road. A model file states them
+    if the roads are more uneven. The tests for a moved sensor use these factors.
     """
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(), "yaw_rate": DelayPrior(0.05, 0.1)}
     )
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Lever arm of the sensor from the body's centre of rotation, vehicle axes [m], where a model
-    knows it. The remaining lever arm is estimated as a nuisance.
+    """Lever arm of the sensor from the body's centre of rotation, vehicle axes [m], if a model file
+    states it. The remaining lever arm is estimated as a nuisance parameter.
     """
     understeer: float = UNDERSTEER
     """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     uses_steering: bool = False
-    """True if the angle of the steering wheel may stand for the yaw rate."""
+    """True if the steering wheel angle may replace the yaw rate."""
     are_sides_turned: bool = False
-    """True if the configuration turns signals that tell left from right.
+    """True if the configuration inverts the sign of signals that distinguish left from right.
 
-    The accelerometer may just as well be mirrored (`mirror`), so these signals do not confirm it.
+    In this case the accelerometer may be mirrored instead (`mirror`), so these signals do not
+    confirm its signs.
     """

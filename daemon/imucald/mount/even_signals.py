@@ -1,8 +1,9 @@
-"""Even signals of blocks of ticks without holes, for many blocks at once.
+"""Signals on an even time grid, for many blocks of ticks without holes at once.
 
-Live, each block is computed when it is complete; in replay, all blocks of a chunk are computed
-together. Both use `even_blocks`, so they give the same bits.  A block that has a hole or may be
-stuck is marked. `signal_blocks` treats such blocks one by one.
+In live operation, each block is computed when it is complete. In replay, all blocks of a chunk are
+computed together. Live operation and replay use `even_blocks`, so the results are equal to the last
+bit. A block that has a hole or may be stuck is marked. `signal_blocks` processes such blocks one by
+one.
 """
 
 from __future__ import annotations
@@ -28,30 +29,32 @@ from imucald.motion.stuck import SAME, short_runs
 from imucald.motion.ticks import TICK_S
 
 BLOCK_TICKS = 64
-"""Ticks of a block: 6.4 s. Data are examined once per block, so the length sets the cost."""
+"""Ticks of a block: 6.4 s. Data are examined once per block, so this length determines the
+computing time."""
 LAG = 16
-"""Ticks by which the work runs behind the data: a speed of 1 Hz with jitter must have come."""
+"""Number of ticks by which the processing is behind the data: a speed of 1 Hz with jitter must have
+arrived."""
 BEFORE = 24
 """Ticks of context in front of a block."""
 KEEP = BEFORE + LAG
 ROWS = KEEP + BLOCK_TICKS
-"""Ticks from which a block is made."""
+"""Number of ticks from which a block is computed."""
 ACCEL_GAP = 0.35
-"""Longest hole in accelerometer or gyroscope that is bridged [s]; 5 Hz with one loss."""
+"""Longest hole in accelerometer or gyroscope data that is bridged [s]: one lost sample at 5 Hz."""
 SPEED_GAP = 2.3
-"""Longest hole in the speed that is bridged [s]; 1 Hz with one loss."""
+"""Longest hole in the speed that is bridged [s]: one lost sample at 1 Hz."""
 PART = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)
-"""The block's own ticks among them, with one more at both ends for dv/dt."""
+"""The block's own ticks within `ROWS`, with one more tick at both ends for dv/dt."""
 MID = slice(1, BLOCK_TICKS + 1)
 """The block's own ticks within `PART`."""
 _BACK = (np.arange(ROWS) - (ROWS - 1)) * TICK_S
 
 
 class BlockRuns(Struct, frozen=True):
-    """Runs of equal values of a block. All runs are short, and none crosses the block's end.
+    """Runs of equal values of a block. All runs are short, and no run crosses the block's end.
 
-    first: the first value. driven: (M,) ticks of driving in each, where there are any; change: (M,)
-    after each.
+    first: first value of the block. driven: (M,) number of driving ticks in each run that contains
+    driving. change: (M,) change of the value after each of these runs.
     """
 
     first: float
@@ -60,9 +63,9 @@ class BlockRuns(Struct, frozen=True):
 
 
 class Knots(Struct, frozen=True):
-    """Times at which a speed is known (K,) [s], None: in each tick.
+    """Times (K,) at which a speed is known [s], and the step of the speed [m/s].
 
-    Also the step of the speed [m/s], where it shows.
+    times: None if the speed is known in each tick. step: 0 if no step was seen.
     """
 
     times: Array | None = None
@@ -75,10 +78,11 @@ IN_EACH_TICK = Knots()
 class Driven(Struct, frozen=True):
     """Speed of a block in which every tick has a speed.
 
-    speed: (N + 2,) [m/s], ok: (N + 2,), see `PART`; accel: (N,) dv/dt [m/s^2]. least: the least
-    speed between two other speeds [m/s]. rolls: all speeds show a rolling vehicle. moves: no speed
-    is zero. runs: None if a speed may be stuck. calm: no tick's force, rate, speed or wheels are
-    implausible. knots: when the speed is known.
+    speed: (N + 2,) [m/s]. ok: (N + 2,) True where the speed is known, see `PART`. accel: (N,) dv/dt
+    [m/s^2]. least: smallest speed whose neighbouring speeds are not zero [m/s]. rolls: all speeds
+    show a rolling vehicle. moves: no speed is zero. runs: None if the speed may be stuck. calm:
+    force, rate, speed and wheel speeds are plausible in every tick. knots: times at which the speed
+    is known.
     """
 
     speed: Array
@@ -95,11 +99,12 @@ class Driven(Struct, frozen=True):
 class EvenBlock(Struct, frozen=True):
     """Block in which every tick has a force and a rate, N = BLOCK_TICKS.
 
-    force, rate: (N + 2, 3), ok_force, ok_rate: (N + 2,). repeats: two ticks in a row have the same
-    mean, as with a stuck sensor. rate_seldom: some ticks have a single gyroscope sample.
-    steering, yaw_rate, lateral: (N + 2,), present if all ticks have them. yaw_runs: None if the
-    yaw rate may be stuck. has_heading, has_reverse: whether any tick has one; is_reverse: whether
-    any is in reverse.
+    force, rate: (N + 2, 3). ok_force, ok_rate: (N + 2,) True where force and rate are known.
+    force_repeats, rate_repeats: two ticks in a row have the same mean, as with a stuck sensor.
+    rate_seldom: some ticks have a single gyroscope sample. steering, yaw_rate, lateral: (N + 2,);
+    None unless all ticks have the signal. yaw_runs: None if the yaw rate may be stuck. has_heading,
+    has_reverse: True if any tick has a heading or a reverse signal. is_reverse: True if any tick is
+    in reverse.
     """
 
     force: Array
@@ -120,9 +125,10 @@ class EvenBlock(Struct, frozen=True):
 
 
 def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
-    """Interpolate samples (B, M) or (B, M, w) at times (B, N); False if the hole is too long.
+    """Interpolate samples (B, M) or (B, M, w) at times (B, N). The second result is False for a
+    time in a hole longer than `longest` [s].
 
-    at: middles of ticks [s].
+    at: middles of the ticks [s].
     """
     m = times.shape[1]
     after = np.array([one.searchsorted(x) for one, x in zip(times, at, strict=True)])
@@ -146,7 +152,8 @@ def bridged_blocks(at: Array, times: Array, values: Array, longest: float) -> tu
 
 
 def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
-    """Interpolate samples (M,) or (M, w) at times (N,); False if the hole is too long."""
+    """Interpolate samples (M,) or (M, w) at times (N,). The second result is False for a time in a
+    hole longer than `longest` [s]."""
     if len(times) < 1:
         return np.zeros((len(at), *values.shape[1:])), np.zeros(len(at), dtype=bool)
     out, ok = bridged_blocks(at[None], times[None], values[None], longest)
@@ -154,9 +161,9 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
 
 
 def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, list[Knots]]:
-    """Like `bridged_blocks` for speeds (B, M), which may be coarse.
+    """Interpolate speeds (B, M) as `bridged_blocks` does. The speeds may be coarse.
 
-    Also returns when each is known.
+    Also returns the times at which each speed is known.
     """
     out, ok = bridged_blocks(at, times, values, SPEED_GAP)
     knots = [IN_EACH_TICK] * len(at)
@@ -173,9 +180,10 @@ def speed_blocks(at: Array, times: Array, values: Array) -> tuple[Array, Flags, 
 def bridged_speed(
     at: Array, times: Array, values: Array, step: float = 0.0
 ) -> tuple[Array, Flags, Knots]:
-    """Like `bridged` for speeds (M,), which may be coarse. Also returns when they are known.
+    """Interpolate speeds (M,) as `bridged` does. The speeds may be coarse.
 
-    step: step of the speeds if they are known to be coarse [m/s].
+    Also returns the times at which the speed is known. step: step of the speeds if they are known
+    to be coarse [m/s].
     """
     if len(times) < 1:
         return *bridged(at, times, values, SPEED_GAP), IN_EACH_TICK
@@ -188,17 +196,17 @@ def bridged_speed(
 
 
 def times_of(end: Array) -> Array:
-    """Return the ends of the ticks (..., ROWS) of blocks whose last tick ends at `end` (..., 1)
-    [s].
+    """Return the ends of the ticks (..., ROWS) of blocks [s]. end: (..., 1) end of the last tick of
+    each block [s].
     """
     return np.asarray(end + _BACK)
 
 
 def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
-    """Return the blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None if force or rate has a
-    hole.
+    """Return the blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None for a block whose force or
+    rate has a hole.
 
-    Impossible numbers must have been removed, see `SignalHealth.drop_impossible`.
+    The caller must have removed impossible numbers, see `SignalHealth.drop_impossible`.
     """
     windows = np.lib.stride_tricks.sliding_window_view(rows, ROWS, axis=0)[::BLOCK_TICKS]
     windows = windows.transpose(0, 2, 1)
@@ -241,15 +249,15 @@ def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
 
 
 def _whole(windows: Array, count: int) -> Flags:
-    """Return the blocks (B,) in which all ticks have samples."""
+    """Return flags (B,) of the blocks in which all ticks have samples."""
     return np.asarray((windows[:, :, count] > 0).all(axis=1))
 
 
 def _sensed(
     windows: Array, t: Array, at: Array, columns: tk.AccelColumns | tk.GyroColumns
 ) -> tuple[Array, Flags, list[bool], list[bool]]:
-    """Return values (B, N + 2, 3) and where they are known, and `repeats` and `seldom` per
-    block.
+    """Return values (B, N + 2, 3), flags of the known values, and for each block whether ticks
+    repeat and whether samples are seldom.
     """
     times = t - windows[:, :, columns.age]
     mean = windows[:, :, columns.x : columns.z + 1]
@@ -260,7 +268,8 @@ def _sensed(
 
 
 def _means(windows: Array, columns: tk.SignalColumns) -> list[Array | None]:
-    """Return means over the ticks as values at their middles, without interpolation."""
+    """Return the mean of each tick as the value at the middle of the tick, without
+    interpolation."""
     whole, values = _whole(windows, columns.n).tolist(), windows[:, PART, columns.mean]
     return [values[b].copy() if has else None for b, has in enumerate(whole)]
 
@@ -272,7 +281,8 @@ def _driven(
     sensed: tuple[Array, Flags, Array, Flags],
     health: SignalHealth,
 ) -> list[Driven | None]:
-    """Return the speed of the blocks. sensed: force and rate, each with where it is known."""
+    """Return the speed of the blocks. sensed: force, flags of the known force, rate, flags of the
+    known rate."""
     whole = _whole(windows, tk.SPEED.n)
     found: list[Driven | None] = [None] * len(windows)
     if not whole.any():
@@ -304,9 +314,9 @@ def _driven(
 
 
 def _speed_runs(mean: Array, size: Array) -> list[BlockRuns | None]:
-    """Return the runs of speeds (B, ROWS), given their sizes.
+    """Return the runs of speeds (B, ROWS). size: absolute values of the speeds.
 
-    None also where a speed is zero: wheels may turn then.
+    A block with a zero speed gives None, because wheels may turn while the speed signal is zero.
     """
     simple: Flags = size.min(axis=1) > SAME_SPEED
     return _runs(mean, SAME_SPEED, simple, size > DRIVING_SPEED)
@@ -322,7 +332,7 @@ def _yaw_runs(windows: Array) -> list[BlockRuns | None]:
 
 
 def _runs(values: Array, same: float, use: Flags, drives: Flags) -> list[BlockRuns | None]:
-    """Return the runs of a signal's values (B, ROWS) in the blocks (B,) that are to be used."""
+    """Return the runs of a signal's values (B, ROWS) in the blocks (B,) that `use` selects."""
     driven: Array = np.zeros((len(values), ROWS + 1))
     np.cumsum(drives, axis=1, out=driven[:, 1:])
     simple, block, first, last, change = short_runs(values, same, BLOCK_TICKS)

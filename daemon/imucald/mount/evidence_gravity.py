@@ -1,13 +1,14 @@
 """Gravity: direction of the specific force without the motion, averaged over the road.
 
-At rest, this is the levelling of method A, steps 1-2. A stop shows the slope of one place. While
-driving the slope changes, so the mean over D metres of road has the variance of a mean of a
-Gauss-Markov process with the correlation length L:
+At rest, this is the levelling of method A, steps 1 and 2. A stop shows the slope at one place.
+While driving, the slope changes. The mean slope over D metres of road therefore has the variance of
+the mean of a Gauss-Markov process with the correlation length L:
 
     s^2 * 2 (L / D) (1 - (L / D) (1 - exp(-D / L))),
 
-This variance is s^2 for one place and falls as 2 L / D. Places count, not samples. The bias of the
-accelerometer does not average out, and neither does the mean lean of roads.
+This variance is s^2 for one place and decreases as 2 L / D on a long road. The weight of a sample
+is the distance driven, so a long stop is still one place. The bias of the accelerometer and the
+mean lean of roads do not average out.
 """
 
 from __future__ import annotations
@@ -23,20 +24,23 @@ from imucald.mount.block_sums import driven
 from imucald.mount.signal_blocks import SignalBlock
 
 STOP_METRES = 12.0
-"""A stop counts as at most this many metres of road: it has no motion, but it is one place."""
+"""Largest length of road [m] that a stop counts as: a stop has no motion, but it is a single
+place."""
 REST_METRES_PER_TICK = 0.5
 ROAD_SHARE = np.array([1.7, 1.5])
-"""Factors for roll and pitch by which superelevation, squat and leaning of the body widen the
-spread of slopes.
+"""Factors for roll and pitch on the spread of slopes, because of superelevation, squat and body
+roll.
 """
 SHARE = 0.1
-"""Possible relative error of the motion. This error reduces the weight of ticks of hard driving."""
+"""Assumed relative error of the motion. This error reduces the weight of ticks with strong
+acceleration."""
 STILL = 0.15
-"""Motion force that is small enough to ignore [m/s^2]."""
+"""Force of the motion that is small enough to ignore [m/s^2]."""
 
 
 def share_of_one_place(metres: float, length: float) -> float:
-    """Return the variance of the mean slope over a road, as a share of that of one place.
+    """Return the ratio of two variances: of the mean slope over a road, and of the slope at one
+    place.
 
     length: correlation length of the slope [m].
     """
@@ -57,7 +61,7 @@ class GravityEvidence:
         self._resting = False
 
     def add_block(self, p: SignalBlock, turn: Array) -> None:
-        """Take a block; turn: (N,) v r [m/s^2]."""
+        """Take a block. turn: (N,) v r [m/s^2]."""
         sums = _sums(p, turn, self._stop_used)
         weight, x, y, z, accel, across, metres, used, resting, moving, each = sums
         if not used:
@@ -82,13 +86,14 @@ class GravityEvidence:
         return self._weight > 0.0
 
     def mean_force(self) -> Array:
-        """Mean specific force in sensor axes, with the motion (3,)."""
+        """Return the mean specific force (3,) in sensor axes. The force of the motion is
+        included."""
         mean: Array = self._force / max(self._weight, 1e-9)
         return mean
 
     def variance(self, std: float, length: float) -> float:
-        """Variance of the mean slope over the road driven [rad^2], with all of the motion: no yaw
-        is known that would subtract it.
+        """Return the variance of the mean slope over the road driven [rad^2]. The mean motion is
+        included as an error, because it cannot be subtracted while the yaw is unknown.
         """
         slope = std * std * share_of_one_place(self.metres, length)
         mean2 = float(self._motion @ self._motion) / max(self._weight, 1e-9) ** 2
@@ -96,12 +101,13 @@ class GravityEvidence:
 
 
 def _sums(p: SignalBlock, turn: Array, stop_used: float) -> list[float]:
-    """Return the sums of a block: the weight, and the weighted force (3,), dv/dt and v r.
+    """Return the sums of a block: the weight, the weighted force (3,), the weighted dv/dt and the
+    weighted v r.
 
-    Also the metres, the numbers of ticks in use, at rest and moving, and the metres for which each
-    tick at rest counts.
+    The list continues with the distance [m], the number of ticks in use, the number of ticks at
+    rest, the number of moving ticks, and the distance that each tick at rest counts as [m].
 
-    turn: (N,) v r [m/s^2]. stop_used: metres for which the stop so far has counted.
+    turn: (N,) v r [m/s^2]. stop_used: distance that the present stop has counted as so far [m].
     """
     use = driven(p)
     sizes = np.abs(p.speed)

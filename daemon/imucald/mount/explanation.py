@@ -1,9 +1,11 @@
 """Explanation of an estimate: missing evidence of each angle, progress, and details.
 
-Troubles come first, then tests, then more driving. The information about an angle, 1 / variance,
-grows about evenly with driving. A limit on the deviation is a limit on the information. The ratio
-(limit / deviation)^2 is therefore the share of the needed information, and it grows evenly. The
-recent growth of this share predicts the remaining time. The log ratios of signs grow evenly too.
+The first reason is a problem that driving does not solve, the second an open test, the third too
+little driving. The information about an angle, 1 / variance, grows at a nearly constant rate with
+driving. A limit of the deviation is also a limit of the information. The ratio (limit /
+deviation)^2 is therefore the collected share of the needed information, and it grows at a nearly
+constant rate. The recent growth of this share predicts the remaining time. The log ratios of the
+sign tests also grow at a nearly constant rate.
 """
 
 from __future__ import annotations
@@ -40,11 +42,11 @@ def waiting_reasons(
     acceptance: Acceptance,
     troubles: Mapping[str, str],
 ) -> tuple[dict[str, str], dict[str, Missing]]:
-    """Return one reason per angle in words, and as a code; no entry where nothing is missing.
+    """Return one reason per angle in words, and one as a code. An angle without missing evidence
+    has no entry.
 
-    known, state: the knowledge from the evidence, and the state that is reported for it. troubles:
-    problems that more driving does not solve, see `mount_troubles`. Troubles come before any other
-    reason.
+    known: knowledge from the evidence. state: reported state. troubles: problems that more driving
+    does not solve, see `mount_troubles`. A trouble has priority over any other reason.
     """
     if state is MountState.FINE:
         return {}, {}
@@ -65,7 +67,7 @@ def waiting_reasons(
 
 
 class LevelChange(Struct, frozen=True):
-    """Upward force [m/s^2] before and after a zero or the gain of the accelerometer changed."""
+    """Upward force [m/s^2] before and after a change of the accelerometer's zero error or gain."""
 
     before: float
     after: float
@@ -82,7 +84,7 @@ def mount_troubles(
     that moves.
 
     creeping: see `creep_details`. shifted: change of roll, pitch, yaw [rad] after repeated shifts,
-    else 0. level: change in the size of gravity, where that is a fault.
+    else 0. level: change in the size of gravity, if the change is a fault.
     """
     if state is MountState.FINE:
         return {}
@@ -108,7 +110,7 @@ def mount_troubles(
 
 
 SEGMENTS_PER_H = 3600.0 / (SEGMENTS[0] * BLOCK_S)
-"""Road segments in an hour of driving."""
+"""Number of road segments in an hour of driving."""
 
 
 def estimate_details(
@@ -123,8 +125,8 @@ def estimate_details(
 ) -> dict[str, object]:
     """Return the details of an estimate.
 
-    steering: zero offset of the steering-wheel angle and its deviation [rad], if known. good: the
-    mount that is good now.
+    steering: zero offset of the steering-wheel angle and its deviation [rad], if known. good:
+    present good mount, or None.
     """
     counts = signals.health.counts
     return {
@@ -172,7 +174,8 @@ def _shares_of(variances: Mapping[str, float]) -> dict[str, dict[str, float]]:
 
 
 def left_out_details(signals: SignalBlockMaker) -> list[dict[str, object]]:
-    """Return the data that were not learnt from, by signal, cause and time, the longest first."""
+    """Return the data that were not used for learning: signal, cause and duration, the longest
+    duration first."""
     return [
         {"signal": signal, "cause": cause, "seconds": ticks * TICK_S}
         for (signal, cause), ticks in signals.left_out.most_common()
@@ -180,11 +183,12 @@ def left_out_details(signals: SignalBlockMaker) -> list[dict[str, object]]:
 
 
 def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[str, object]:
-    """Return the details of a change of the mount, with its present size (`TakenChange.turn`).
+    """Return the details of a change of the mount. turn: present estimate of the change and its
+    deviation (`TakenChange.turn`).
 
-    within_deg: half of the 95 % interval [deg] of the change, if the interval includes no change;
-    None if the sensor was moved. If within_deg is not None, the mount stays in use and its
-    interval covers the change.
+    within_deg: half of the 95 % interval [deg] of the change, if the interval contains zero; None
+    if the sensor was moved. If within_deg is not None, the mount stays in use and its interval
+    covers the change.
     """
     half, is_within = max(SD_95 * one.std, abs(one.change.size)), one.is_borne
     if turn is not None:
@@ -203,14 +207,15 @@ def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[s
 
 
 def level_details(change: LevelChange | None) -> dict[str, float] | None:
-    """Return the size of gravity [m/s^2] before and after the accelerometer's zero or gain
-    changed.
+    """Return the size of gravity [m/s^2] before and after a change of the accelerometer's zero
+    error or gain.
     """
     return None if change is None else {"before": change.before, "after": change.after}
 
 
 def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
-    """Return the angles that creep: rate by driving time, change so far, and probability."""
+    """Return the angles that creep, each with its rate per hour of driving, its change so far, and
+    the probability of creep."""
     if creep is None:
         return {}
     return {
@@ -227,20 +232,24 @@ def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
 Shares = Mapping[str, float]
 
 REMEMBERED = 29
-"""Blocks whose growth shows the pace: 3 min, with roads and stops of all kinds."""
+"""Number of blocks (3 min) whose growth predicts the remaining time. This time includes roads and
+stops of all kinds."""
 LONGEST_S = 3600.0
-"""A longer time is not reported [s]: the evidence has almost stopped growing."""
+"""Longest remaining time that is reported [s]. With a longer time, the evidence has almost stopped
+growing."""
 GOALS = (MountState.USABLE, MountState.FINE)
 FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
-"""Signals that a first solution needs [s]: two windows."""
+"""Duration of signals that a first solution needs [s]: two windows."""
 FIRST = "first solution (acceleration, braking, bends)"
-"""The only gate before a first solution: until then no axis has a share that could grow."""
+"""Name of the only condition before a first solution. Before this solution, no angle has a share of
+evidence."""
 FIRST_SHARE_MAX = 0.99
-"""Without a solution, its gate is not complete."""
+"""Largest share of the condition `FIRST` while there is no solution."""
 
 
 class ProgressWatch:
-    """Remembers the shares of the last minutes. Times count blocks, so only driving counts."""
+    """Stores the shares of the last minutes. The times are counted in blocks, so only driving time
+    counts."""
 
     def __init__(self) -> None:
         self._lately: deque[tuple[float, dict[MountState, Shares]]] = deque(maxlen=REMEMBERED)
@@ -263,7 +272,8 @@ class ProgressWatch:
         self._lately.append((t, shares))
 
     def after(self, state: MountState, known: MountKnowledge, can_be_fine: bool) -> Progress | None:
-        """Return the gates of the next state; None if driving does not lead to another state."""
+        """Return the conditions of the next state and their progress; None if driving does not lead
+        to another state."""
         goal = MountState.FINE if state is MountState.USABLE else MountState.USABLE
         if not self._lately or state is MountState.FINE:
             return None
@@ -280,7 +290,7 @@ class ProgressWatch:
         return Progress(goal, tuple(gates))
 
     def _left(self, goal: MountState, name: str, now: float, share: float) -> float | None:
-        """Return the driving time that a gate still takes [s]; None if it cannot be
+        """Return the driving time until a condition is met [s]; None if the time cannot be
         predicted.
         """
         if share >= 1.0:
@@ -296,8 +306,8 @@ class ProgressWatch:
 
 
 def _of_first_solution(now: float, known: MountKnowledge) -> float:
-    """Return the share of what a first solution needs: one half for the time, one for the changes
-    of speed.
+    """Return the collected share of the evidence for a first solution. One half is for the time,
+    the other half for changes of speed.
     """
     met = min(now / FIRST_S, 1.0) + min(known.straight / NEEDED, 1.0)
     return min(met / 2.0, FIRST_SHARE_MAX)

@@ -1,9 +1,10 @@
 """The vertical in sensor axes, and the force without gravity.
 
 The specific force is f_s = R^T m + g u + b, with u the vertical in sensor axes, m the motion
-(dv/dt, v r, -v q) and b the accelerometer's zero. The vertical is carried by the gyroscope on any
-slope and pulled to the force (`drive.vertical`). What the force then shows besides the motion is an
-error of the rate: the gyroscope's zero may drift.
+(dv/dt, v r, -v q) and b the accelerometer's zero error. The vertical is integrated with the
+gyroscope, which works on any slope, and corrected slowly towards the force (`drive.vertical`). The
+remaining difference between the force and the motion comes from an error of the rate: the
+gyroscope's zero error may drift.
 """
 
 from __future__ import annotations
@@ -17,22 +18,25 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import SignalBlock
 
 PULL_S = 16.0
-"""Time constant of the pull to the accelerometer [s]: a zero of the rate tilts the vertical less
-than with that of `drive.vertical`.
+"""Time constant of the correction of the vertical towards the accelerometer [s]. It is shorter than
+the constant in `drive.vertical`, so a zero error of the rate tilts the vertical less.
 """
 MAX_BLIND = 10
-"""Number of ticks in a block in which nothing carries the vertical, from which it is found again.
+"""Number of ticks of a block without rate and without usable force, above which the vertical is
+determined anew.
 """
 DRIFT_S = 150.0
-"""Time constant with which a drifting gyro bias is followed while driving [s]."""
+"""Time constant of the estimate of a drifting gyroscope bias while driving [s]."""
 SETTLED_TICKS = 300
-"""Ticks that were pulled to the force, from which the rest of the force shows such a drift."""
+"""Number of ticks with correction towards the force after which the residual force shows a drift of
+the gyroscope bias."""
 FORCE_LARGE = 0.25
-"""A larger mean rest of the force counts as this [m/s^2] (Huber)."""
+"""Largest mean residual force that is used [m/s^2]; larger values are limited to it (Huber)."""
 
 
 class GravityObserver:
-    """Carries the vertical from block to block, and follows the zero of the rate while driving."""
+    """Integrates the vertical from block to block, and estimates the gyroscope's zero error while
+    driving."""
 
     def __init__(self) -> None:
         self._vertical = CarriedVertical(PULL_S)
@@ -40,21 +44,21 @@ class GravityObserver:
         self._drift = np.zeros(3)
 
     def restart(self) -> None:
-        """Forget the vertical because time jumped; keep what is known of the bias."""
+        """Forget the vertical because time jumped, and keep the estimated bias."""
         self._vertical.restart()
         self._pulled = 0
 
     @property
     def up(self) -> Array | None:
-        """Vertical in sensor axes, about unit length; (3,) or None."""
+        """Vertical in sensor axes (3,), with a length of about 1, or None."""
         return self._vertical.up
 
     def advance(self, p: SignalBlock, motion: Array | None, bias: Array) -> Array:
-        """Carry the vertical through a block; return f_s - b - g u (N, 3), which still contains the
-        motion.
+        """Integrate the vertical through a block. Returns f_s - b - g u (N, 3), which still
+        contains the motion.
 
-        motion: (N, 3) expected motion force in sensor axes, or None while R is not known. bias:
-        (3,) known bias of the accelerometer [m/s^2].
+        motion: (N, 3) expected force of the motion in sensor axes, or None while R is not known.
+        bias: (3,) known bias of the accelerometer [m/s^2].
         """
         # Without a speed, the part of the vehicle's motion in the force is unknown.
         use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
@@ -72,10 +76,10 @@ class GravityObserver:
         return np.asarray(force - GRAVITY * up)
 
     def _follow_drift(self, p: SignalBlock, left: Array, up: Array) -> None:
-        """Estimate the gyro bias about the level axes from the mean rest of the force (3,) that it
-        causes (Mahony's integral).
+        """Estimate the gyroscope bias about the level axes from the mean residual force (3,) that
+        this bias causes (integral part of Mahony's filter).
 
-        A rate error d against the pull k leaves the innovation e / g with k u x e / g = d.
+        With a correction gain k, a rate error d causes a residual force e with k u x e / g = d.
         """
         if np.count_nonzero(p.rest):
             self._drift *= 0.5  # at rest it is measured

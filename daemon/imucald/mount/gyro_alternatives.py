@@ -1,9 +1,10 @@
 """Compare the axes and signs of the gyroscope with those of the accelerometer.
 
-With the mount R known, the rates predict the level parts t = f / g of the vertical, without the
-motion: dt_x = -q + r t_y and dt_y = p - r t_x. The motion contains r too. If a sign is wrong, or
-two axes of either sensor are exchanged, the rates that fit are S w, with S a signed permutation.
-The slopes of any road show this within a minute or two.
+With a known mount R, the rates (p, q, r) predict the changes of the level components t = f / g of
+the vertical: dt_x = -q + r t_y and dt_y = p - r t_x. The motion is subtracted from f, and v r in
+the motion also depends on r. If a sign is wrong, or two axes of a sensor are exchanged, the rates S
+w fit instead of the measured rates w, with a signed permutation S. On any road, slopes show the
+right S within one or two minutes.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from imucald.mount.log_ratios import (
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TILT_FLOOR = 0.003
-"""Smallest assumed noise of the level parts [rad]."""
+"""Smallest assumed noise of the level components t [rad]."""
 LEAST_ENERGY = BLOCK_TICKS * TILT_FLOOR**2
 AROUND = 5
-"""Means cover this many ticks on both sides: a second."""
+"""Number of ticks before and after a tick over which the means are taken: a second in total."""
 WEIGHT = 1.0 / (2 * AROUND + 1)
 
 
 def _signed_permutations() -> Array:
-    """Return the identity, then all ways to exchange two axes, to turn one sign, or to turn all
-    signs (14, 3, 3).
+    """Return the identity, and then all matrices that exchange two axes, invert one sign, or invert
+    all signs of one of these matrices (14, 3, 3).
     """
     eye = np.eye(3)
     some = [eye[[1, 0, 2]], eye[[0, 2, 1]], eye[[2, 1, 0]]]
@@ -44,26 +45,27 @@ def _signed_permutations() -> Array:
 
 TRIED = _signed_permutations()
 HALF = len(TRIED) // 2
-"""The second half of `TRIED` is the first half with all signs turned: the last one belongs to the
-identity.
+"""Half of the number of alternatives. The second half of `TRIED` is the first half with all signs
+inverted. The last matrix of `TRIED` is the inverted identity.
 """
 
 MOST_OF_LATE = TO_ACCUSE / 3.0
-"""Largest evidence of one block for a fault that begins in mid-drive.
+"""Largest evidence of one block for a fault that begins in the middle of a drive.
 
-Four blocks are needed, because three reach the limit but do not exceed it.
+Four blocks are needed, because three blocks reach the limit but do not exceed it.
 """
 LEAST_TURN = 0.02
-"""A block in which no axis has turned by this angle [rad] is not used for signs."""
+"""Smallest angle [rad] of a block: if no axis has turned by this angle, the block is not used for
+signs."""
 
 
 class GyroAlternatives:
     """The evidence against each signed permutation of the gyroscope's axes, summed over blocks.
 
-    All earlier evidence speaks against a fault that begins in mid-drive. A second sum therefore
-    restarts at zero whenever it favours the configured axes (Page's test; Basseville and Nikiforov,
-    Detection of Abrupt Changes, 1993, ch. 2.2: e^h blocks to a false alarm, if blocks are
-    independent).
+    Before a fault that begins in the middle of a drive, all evidence is for the configured axes. A
+    second sum therefore restarts at zero whenever it favours the configured axes (Page's test;
+    Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.2). With a threshold h and
+    independent blocks, a false alarm occurs once in e^h blocks.
     """
 
     def __init__(self) -> None:
@@ -82,39 +84,40 @@ class GyroAlternatives:
         self.blocks += 1
 
     def add_late(self, ratios: Array) -> None:
-        """Take the log ratios of a block for faults that begin in mid-drive."""
+        """Take the log ratios of a block for faults that begin in the middle of a drive."""
         held = _held(ratios, -MOST_OF_LATE, MOST_OF_LATE)
         self._late = _held(self._late + held, -HELD, 0.0)
 
     def is_seen(self, least: float) -> bool:
-        """True if all alternatives are ruled out so far, or were searched long enough without
-        result.
+        """True if all alternatives are ruled out, or if a long test found no evidence for any of
+        them.
         """
         return is_seen(float(self._sums.min()), self.blocks, least)
 
     def share(self, least: float) -> float:
-        """Return the share (0 to 1) of the evidence for `is_seen` that has come."""
+        """Return the collected share (0 to 1) of the evidence that `is_seen` needs."""
         return share_seen(float(self._sums.min()), self.blocks, least)
 
     @property
     def is_accused(self) -> bool:
-        """True if one of the alternatives fits much better."""
+        """True if an alternative fits much better than the configured axes."""
         return float(np.minimum(self._sums, self._late).min()) < -TO_ACCUSE
 
 
 def gyro_ratios(
     ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
 ) -> Array:
-    """Log likelihood ratios (13,) of a block against each alternative.
+    """Return the log likelihood ratios (13,) of a block: the configured axes against each
+    alternative.
 
-    ahead, across: level parts of the force over g (N,), without dv/dt but with v r. rate: (N, 3)
-    [rad/s] sensor axes. speed: (N,) [m/s]. gain: gain of v r.
+    ahead, across: level components of the force divided by g (N,); dv/dt is subtracted, v r is not.
+    rate: (N, 3) in sensor axes [rad/s]. speed: (N,) [m/s]. gain: gain of v r.
     """
     return ratios_of(gyro_energies(ahead, across, rate, speed, R, gain))
 
 
 def ratios_of(left: Array) -> Array:
-    """Return log likelihood ratios (13,) from the residual energies (14, 2)."""
+    """Return the log likelihood ratios (13,) from the residual energies (14, 2)."""
     ratios: Array = (0.5 * INDEPENDENT * np.log(left[1:] / left[0])).sum(axis=1)
     return ratios
 
@@ -122,11 +125,11 @@ def ratios_of(left: Array) -> Array:
 def gyro_energies(
     ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
 ) -> Array:
-    """Return the residual energies (14, 2) of the vertical's level parts for each alternative
-    [rad^2].
+    """Return the residual energies (14, 2) of the level components of the vertical for each
+    alternative [rad^2].
 
-    Rates with all signs turned give the opposite changes, so one half of the alternatives is
-    enough.
+    Inverting the signs of all rates inverts the predicted changes. The changes are therefore
+    computed for one half of the alternatives only.
     """
     turned = np.matmul(R, TRIED[:HALF])  # exact: each is a permutation
     x, y, z = rate.T
@@ -155,7 +158,7 @@ def gyro_energies(
 
 
 def _smoothed(x: Array) -> Array:
-    """Return means over a second of (k, N), with the end values extended."""
+    """Return the means of (k, N) over a second, with the end values extended."""
     longer = np.concatenate([x[:, :1]] * AROUND + [x] + [x[:, -1:]] * AROUND, axis=1)
     n = x.shape[1]
     out = longer[:, :n].copy()
@@ -166,6 +169,7 @@ def _smoothed(x: Array) -> Array:
 
 
 def _held(x: Array, low: float, high: float) -> Array:
-    """Limit values as numpy.clip does, which takes three times as long for so few."""
+    """Limit values to the range from low to high. `numpy.clip` takes three times as long for so few
+    values."""
     out: Array = np.minimum(np.maximum(x, low), high)
     return out

@@ -1,12 +1,12 @@
-"""Random walk of an angle that is summed from a gyroscope with few samples.
+"""Random walk of an angle that is integrated from a gyroscope with few samples.
 
-Such a sensor measures the rate at an instant, and not its mean since the previous sample. A
+Such a sensor measures the rate at an instant, and not the mean rate since the previous sample. A
 vibration faster than half of the sample rate then looks like slow turning (aliasing). The errors
-add up: the angle walks by the sum of h_i e_i. Here e_i is the part of a sample that is independent
-of its neighbours, and h_i is the time for which the sample stands. The samples themselves show the
-size of e. A sample differs from the line between its neighbours by r_i = e_i - a e_(i-1) - b
-e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Real quick turning is included, so
-the walk is estimated too large rather than too small.
+add up: the error of the angle is the sum of h_i e_i. Here e_i is the part of a sample that is
+independent of its neighbours, and h_i is the time between the middles of the two neighbouring gaps.
+The size of e is computed from the samples. A sample differs from the line between its neighbours by
+r_i = e_i - a e_(i-1) - b e_(i+1), a + b = 1, so that E[r r'] = (1 + a^2 + b^2) E[e e']. Real quick
+turning increases r, so the walk is estimated too large rather than too small.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from imucald.core.arrays import Array
 
 
 def sampling_walk(times: Array, rates: Array, counts: Array, longest: float) -> Array:
-    """Return the growth of the angle's variance (3, 3) [rad^2/s] from means (M, 3) [rad/s] of
-    counts (M,) samples at times (M,).
+    """Return the growth of the angle's variance (3, 3) [rad^2/s].
 
-    Only single samples are instants: zero if all means are of several. longest: longer holes are
-    not bridged [s].
+    times: (M,) [s]. rates: mean rates (M, 3) [rad/s], each of `counts` (M,) samples. Only a mean of
+    a single sample is a measurement at an instant, so the result is zero if there are no such
+    means. longest: longer holes are not bridged [s].
     """
     if len(times) < 3:
         return np.zeros((3, 3))

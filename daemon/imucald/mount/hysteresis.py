@@ -1,4 +1,4 @@
-"""States with hysteresis: a reached state is left only beyond its limits times a slack."""
+"""States with hysteresis: a state is left only if its limit times a factor is exceeded."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 """States in which a mount is used although evidence contradicts it."""
 
 SLACK = 1.4
-"""A reached state is left only beyond its limit times this factor; frames are still sent with the
+"""Factor on the limit of a state above which the state is left. Frames are still sent with their
 stated deviation.
 """
 
@@ -21,8 +21,8 @@ stated deviation.
 class Level(NamedTuple):
     """A good state and its conditions.
 
-    yaw_std, tilt_std: largest standard deviations [rad]. enough: whether the drive was long enough
-    for it. slack: once reached, the state is left only beyond its limits times this.
+    yaw_std, tilt_std: largest standard deviations [rad]. enough: True if the drive was long enough
+    for this state. slack: factor on both limits while the state is held.
     """
 
     state: MountState
@@ -35,10 +35,10 @@ class Level(NamedTuple):
 def best_level(
     levels: Iterable[Level], before: MountState, yaw_std: float, tilt_std: float
 ) -> MountState | None:
-    """Return the first state whose limits hold, None if none does.
+    """Return the first state whose limits hold, or None if no state's limits hold.
 
-    levels: the best state first. before: the state so far. The limits of this state, and of lesser
-    states, are multiplied by their slack.
+    levels: states in order, the best state first. before: previous state. The limits of the
+    previous state and of lower states are multiplied by their slack.
     """
     for level in levels:
         times = level.slack if before in GOOD and before >= level.state else 1.0

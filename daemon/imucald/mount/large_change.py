@@ -1,23 +1,24 @@
-"""Detect a large rotation of the sensor. The test runs in every block, from the first minutes on.
+"""Detect a large rotation of the sensor. The test runs in every block from the first minutes of a
+drive.
 
-`joint.moves` finds small changes, once enough road has been driven to know what is usual. A
-rotation by several degrees shows in single blocks. Such a rotation shows in the direction of
-gravity without the motion, in the direction in which the force responds to dv/dt and v r, and in
-any rotation while the vehicle stands. Each block of the last minutes is tried as the time of a
+`joint.moves` finds small changes, after enough road was driven to know the usual variation. A
+rotation by several degrees is visible in single blocks, in three ways: the direction of gravity
+without the motion, the direction in which the force responds to dv/dt and v r, and any rotation
+while the vehicle stands. Each block of the last minutes is tried as the time of a
 change: the mean before is compared with the mean after (a generalised likelihood ratio test;
 Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-
-Markov process over the distance driven, as in `evidence_gravity`. `block_sums` gives the yaw that a
-block shows. The spread of both starts at a prior and is learnt.
+Markov process over the distance driven, as in `evidence_gravity`. `block_sums` gives the yaw of a
+single block. The spreads of tilt and yaw start at a prior and are then estimated.
 
-`TurnedAlone` detects a sensor that turns about the vertical while the vehicle does not.
+`TurnedAlone` detects a sensor that turns about the vertical while the vehicle does not turn.
 
-Between two times at which both hardly turn, gyroscope and vehicle must have turned by the same
-angle, whatever the delay of either. If the gyroscope turned further, the sensor was taken or
-knocked. The yaw rate of the vehicle shows its turning; at speed, the force to the left (v r) shows
-it too.
+Two times are compared at which gyroscope and vehicle hardly turn. Between these times, gyroscope
+and vehicle must have turned by the same angle, even if their signals have different delays. If the
+gyroscope turned further, the sensor was moved by hand or by a knock. The turning of the vehicle is
+measured by its yaw rate and, at speed, also by the force to the left (v r).
 
-The angle of a gyroscope that sends seldom walks at random (`gyro_walk`). For example, a phone that
-shook in its holder, at five samples a second, seemed to turn by 29 deg within 2 s and had not
+The angle of a gyroscope that sends seldom has a random walk (`gyro_walk`). For example, a phone
+that shook in its holder, at five samples a second, seemed to turn by 29 deg within 2 s and had not
 turned.
 """
 
@@ -41,59 +42,64 @@ from imucald.mount.evidence_gravity import share_of_one_place
 from imucald.mount.signal_blocks import SignalBlock
 
 APART = 20
-"""Ticks between the two times (2 s): a knock is shorter, and a move by hand takes a second."""
+"""Ticks between the two compared times (2 s). A knock is shorter than this, and a move by hand
+takes about a second."""
 STILL_RATE = 0.05
-"""Rate [rad/s] below which gyroscope and vehicle count as not turning. If they are compared 0.2 s
-apart, the error is 0.6 deg.
+"""Rate [rad/s] below which gyroscope and vehicle count as not turning. If the two signals are
+compared with a time error of 0.2 s, the error of the angle is 0.6 deg.
 """
 MIN_SPEED = 10.0
-"""Speed from which the force shows a turn [m/s]: a turn by 6 deg in 2 s takes 0.5 m/s^2 there."""
+"""Speed [m/s] above which the lateral force is used to measure turning: a turn by 6 deg in 2 s
+needs 0.5 m/s^2 at this speed."""
 
 
 class Witness(Struct, frozen=True):
-    """Signal that shows how the vehicle turns.
+    """Properties of a signal that measures the turning of the vehicle.
 
     least: smallest rotation of the gyroscope alone that counts [rad]. gain_share: tolerated
-    difference of both, as a share of the turning in between.
+    difference between gyroscope and vehicle, as a share of the angle turned between the two times.
     """
 
     least: float
     gain_share: float
 
     def beside(self, walk: float) -> Witness:
-        """Return the same witness for a gyroscope whose angle walks by this variance per second
-        [rad^2/s].
+        """Return these properties for a gyroscope whose angle has a random walk.
 
-        least: `DEVIATIONS` standard deviations, which the walk makes larger.
+        walk: variance of the random walk per second [rad^2/s]. The walk enlarges `least` by
+        `DEVIATIONS` of its standard deviations.
         """
         own = DEVIATIONS * math.sqrt(walk * APART * TICK_S)
         return Witness(math.hypot(self.least, own), self.gain_share)
 
 
 DEVIATIONS = 6.0
-"""Number of standard deviations from which a rotation counts: chance 2e-9 for a normal variable,
-two-sided."""
+"""Number of standard deviations above which a rotation counts. The chance is 2e-9 for a normal
+variable, two-sided."""
 YAW_RATE = Witness(math.radians(3.0), 0.1)
-"""Offsets of 0.3 deg/s in both signals make 1.2 deg in that time."""
+"""Yaw rate of the vehicle. Offsets of 0.3 deg/s in both signals cause a difference of 1.2 deg in 2
+s."""
 FORCE = Witness(math.radians(6.0), 0.3)
-"""A gust of 0.3 m/s^2 for that long makes 3.4 deg; the body leans."""
+"""Lateral force of the vehicle. A gust of 0.3 m/s^2 for 2 s causes a difference of 3.4 deg. Body
+roll also causes a difference."""
 
 
 class TurnedAlone:
-    """Compares the turning of the gyroscope with that of the vehicle, across the ends of blocks."""
+    """Compares the angle turned by the gyroscope with the angle turned by the vehicle, also across
+    the ends of blocks."""
 
     def __init__(self) -> None:
         self._before: Array = np.zeros((2, 0))
 
     def restart(self) -> None:
-        """Restart: nothing is compared with earlier data."""
+        """Restart: later data are not compared with earlier data."""
         self._before = np.zeros((2, 0))
 
     def take_rates(
         self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE
     ) -> float:
-        """Take a block (N,) [rad/s]; return the angle by which the sensor turned alone [rad],
-        or 0.
+        """Take a block (N,) [rad/s]. Returns the angle by which the sensor turned without the
+        vehicle [rad], or 0.
         """
         found = self._alone(turn_rate, vehicle, ok, by)
         if found:
@@ -128,84 +134,89 @@ class TurnedAlone:
 
 
 REMEMBERED = 50
-"""Blocks that are remembered (320 s)."""
+"""Number of blocks that are stored (320 s)."""
 LEAST_BEFORE = (5, 5, 3)
-"""Smallest number of blocks before a change.
+"""Smallest number of blocks before a change of roll, pitch and yaw.
 
-In yaw, few blocks are enough to show a change of this size.
+In yaw, few blocks are enough to show a change of `MIN_SIZE`.
 """
 MOST_AFTER = 12
-"""Largest number of blocks since a tested change (77 s)."""
+"""Largest number of blocks between a tested change and now (77 s)."""
 LEAST_TICKS = 32
-"""Smallest number of good ticks in a usable block: half of them."""
+"""Smallest number of good ticks in a usable block: half of all ticks."""
 TILT_NOISE = math.radians(0.5)
-"""Deviation of a block's tilt besides the road's slope: squat, gains, unknown motion [rad]."""
+"""Deviation of a block's tilt from other causes than the road's slope: squat, gain errors, unknown
+motion [rad]."""
 PRIOR_BLOCKS = 10.0
 """Weight of the prior for the spread, in blocks."""
 CLIP = 4.5
-"""Largest deviation with which one block widens the spread in yaw: a single bend may be unusual."""
+"""Limit, in standard deviations, on the contribution of one block to the spread in yaw: a single
+bend may be unusual."""
 LIMITS = (6.0, 6.0, 6.0)
-"""Standard deviations from which a change in roll, pitch, yaw counts.
+"""Standard deviations above which a change in roll, pitch or yaw counts.
 
-For a normal variable 6 are 2e-9, two-sided. This is one false alarm in 3,000 h, with 560 blocks an
-hour and a dozen tries each, of which two or three are independent.
+The probability of 6 standard deviations is 2e-9 for a normal variable, two-sided. This probability
+gives one false alarm in 3,000 h: there are 560 blocks an hour and about twelve tests in each block,
+of which two or three are independent.
 """
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(2.5))
-"""Smaller changes are left to `joint.moves` [rad].
+"""Smallest change in roll, pitch and yaw that this test reports [rad]. `joint.moves` finds smaller
+changes.
 
-Only on mountain roads (10 %) does the mean slope of half a minute differ this much from that of the
-minutes before.
+Only on mountain roads (10 %) can the mean slope of half a minute differ this much from the mean
+slope of the minutes before.
 """
 AGREEING = 0.4
-"""Every block since a change must show at least this share of it, so that one gust or one bad road
-does not count.
+"""Share of a change that every block since the change must show. A single gust or a single bad road
+is therefore not enough for a change.
 """
 CLEAR, CLEAR_BLOCKS = 3.0, 2
-"""A block is clear in yaw if the change is at least the first number of its own deviations.
-
-The second number is how many blocks must be clear.
+"""Conditions for a change of yaw. A block is clear if the change is at least `CLEAR` standard
+deviations of this block. At least `CLEAR_BLOCKS` blocks must be clear.
 """
 STANDING_TURN = math.radians(3.0)
-"""Angle [rad] by which a standing vehicle cannot turn or tilt. People who get in tilt it by half a
-degree.
+"""Angle [rad] by which a standing vehicle cannot turn or tilt. People who get in tilt a vehicle by
+half a degree.
 """
 BACKWARDS = math.radians(150.0)
-"""If no signal shows reverse and the speed is possible in reverse gear, a yaw change larger than
-this [rad] means reverse driving. Sensors are seldom turned by exactly half a turn.
+"""Change of yaw [rad] above which a block is left out if no signal shows reverse and its speed is
+possible in reverse: the vehicle may be driving backwards. A sensor is seldom turned by exactly half
+a turn.
 """
 LEAST_RADIUS = 4.0
-"""Smallest radius of the circle of a car's rear axle middle [m]; turning circles are 10 to 11 m
-wide. A speed signal that begins at 3 km/h says zero while a vehicle creeps on this circle at 12
-deg/s.
+"""Smallest radius of the circle on which the middle of a car's rear axle drives [m]. Turning
+circles are 10 to 11 m wide. A speed signal that begins at 3 km/h is still zero while a vehicle
+creeps on this circle at 12 deg/s.
 """
 STANDING_TICKS = 12
-"""Ticks of standing from which the tilt of a vehicle is known."""
+"""Number of standing ticks from which the tilt of a vehicle is known."""
 REST_WINDOW = 32
-"""Largest number of ticks for the mean of the present tilt. The limit bounds the motion that a
-silent speed hides.
+"""Largest number of ticks for the mean of the present tilt. Motion at a speed below the smallest
+speed of the signal is therefore included for a limited time only.
 """
 LATE_TICKS = 28
-"""The accelerometer shows the start of motion before the speed does.
+"""Number of further standing ticks after which a standing tick is used. The accelerometer shows the
+start of motion before the speed does.
 
-The wait covers the longest delay of a speed (`MAX_SPEED_DELAY`, 1.8 s) and the time for which wheel
-sensors are silent (up to 1 m/s, `standstill`, at 1 m/s^2). The last ticks of standing are therefore
-used only once this many more ticks of standing have come.
+The wait covers the longest delay of a speed (`MAX_SPEED_DELAY`, 1.8 s) and the time without pulses
+of the wheel sensors (up to 1 m/s, `standstill`, at 1 m/s^2).
 """
 
 
 TILTS = (0, 1)
 YAW, METRES, TILT_WEIGHT, YAW_WEIGHT = 2, 3, 4, 5
 NO_ROWS: Array = np.zeros((0, 6))
-"""Columns of each block: roll, pitch and yaw about R [rad], road [m], the weight of its tilt
-(metres and a little), and the weight of its yaw (information [1/rad^2]).
+"""Columns of each block: roll, pitch and yaw about R [rad], distance [m], weight of the tilt
+(distance plus 3 m), weight of the yaw (information [1/rad^2]).
 """
 
 
 class LargeChange(Struct, frozen=True):
-    """axis: 0 roll, 1 pitch, 2 yaw.
+    """A large change of one angle.
 
-    Also the size [rad], the size in standard deviations, and the blocks since. is_felt: the
-    gyroscope has turned by at least half of it.
+    axis: 0 roll, 1 pitch, 2 yaw. size: change [rad]. deviations: change in standard deviations.
+    blocks: number of blocks since the change. is_felt: the gyroscope has measured at least half of
+    the change.
     """
 
     axis: int
@@ -216,7 +227,7 @@ class LargeChange(Struct, frozen=True):
 
 
 class LargeChangeDetector:
-    """Tests the tilt and yaw of blocks about the rotation so far."""
+    """Tests the tilt and the yaw of blocks, relative to the present rotation."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         across, along = settings.unevenness
@@ -233,7 +244,7 @@ class LargeChangeDetector:
         self._forget_standing()
 
     def _forget_standing(self) -> None:
-        """Forget the stop, because the vehicle has moved or may have moved."""
+        """Forget the present stop, because the vehicle has moved or may have moved."""
         self._stopped_at: tuple[Array, Array] | None = None  # mean force (3,), its variance (3, 3)
         self._turned, self._felt = np.zeros(3), np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
@@ -250,8 +261,8 @@ class LargeChangeDetector:
     ) -> None:
         """Take a block and its motion.
 
-        use: (N,) ticks that count. sums: sums over these ticks. R: the rotation so far. gains:
-        gains of dv/dt and v r. has_reverse: whether there is a reverse signal.
+        use: (N,) flags of the ticks that count. sums: sums over these ticks. R: present rotation.
+        gains: gains of dv/dt and v r. has_reverse: True if there is a reverse signal.
         """
         if self._R is not None and R is not self._R:
             moved = vector_from_rotation(R @ self._R.T)
@@ -276,9 +287,9 @@ class LargeChangeDetector:
         self._rows = np.concatenate([self._rows[1 - REMEMBERED :], [row]])
 
     def found(self, with_yaw: bool) -> LargeChange | None:
-        """Return the most significant change, if it is beyond the limits.
+        """Return the most significant change above the limits, or None.
 
-        with_yaw: yaw is tested too.
+        with_yaw: test the yaw too.
         """
         rows = self._rows
         changes = [self._best(TILTS, rows[:, :YAW], rows[:, TILT_WEIGHT], range(len(rows)))]
@@ -300,9 +311,10 @@ class LargeChangeDetector:
     def _best(
         self, axes: tuple[int, ...], e: Array, w: Array, at: Sequence[int] | NDArray[np.int64]
     ) -> LargeChange | None:
-        """Return the best change of axes that have rows in common.
+        """Return the best change of the given axes, or None.
 
-        The rows are e (n, axes), their weights (n,), and their positions (n,).
+        e: (n, axes) angles of the blocks [rad]. w: (n,) weights. at: (n,) positions of the blocks
+        among all blocks.
         """
         n = len(e)
         best: LargeChange | None = None
@@ -402,8 +414,8 @@ class LargeChangeDetector:
 
 
 def _tilt(before: Array, now: Array, R: Matrix3) -> Array:
-    """Return the tilt of a sensor between two mean forces at rest: rotation vector (3,), vehicle
-    axes.
+    """Return the tilt of a sensor between two mean forces at rest: rotation vector (3,) in vehicle
+    axes [rad].
     """
     size2 = float(np.linalg.norm(now) * np.linalg.norm(before))
     return np.asarray(R @ np.cross(now, before) / max(size2, 1e-9))
@@ -412,17 +424,18 @@ def _tilt(before: Array, now: Array, R: Matrix3) -> Array:
 def _hidden_force(least: float, ticks: int) -> Array:
     """Return the hidden force across and along (2,) [m/s^2].
 
-    The means of the first and last ticks of a stop may differ by this force if the vehicle creeps
-    while its speed stays zero, up to `least` [m/s].
+    The mean forces at the beginning and at the end of a stop may differ by this force. The cause is
+    a vehicle that creeps at up to `least` [m/s] while its speed signal is zero.
     """
     along = 1.0 / STANDING_TICKS + 1.0 / ticks
     return np.array([2.0 * least * least / LEAST_RADIUS, least * along / TICK_S])
 
 
 def _mean_force(force: Array) -> tuple[Array, Array]:
-    """Return the mean of forces (n, 3) and its variance (3, 3).
+    """Return the mean of forces (n, 3) and the variance of the mean (3, 3).
 
-    The variance comes from the differences between ticks. A tilt in between hardly adds to it.
+    The variance is computed from differences between successive ticks. A tilt during these ticks
+    hardly enlarges it.
     """
     steps = np.diff(force, axis=0)
     return force.mean(axis=0), 0.5 * (steps.T @ steps) / (len(steps) * len(force))

@@ -1,12 +1,13 @@
 """Log likelihood ratio of two hypotheses about a sign, summed block by block.
 
-For each block, the residual energies of both hypotheses are compared, E_k and E_0:
+For each block, the residual energies E_k and E_0 of the two hypotheses are compared:
 
     log L_0 - log L_k = (n / 2) log(E_k / E_0),
 
-This is the likelihood ratio of normal variables with unknown spread (profile likelihood; Davison,
-Statistical Models, 2003, ch. 4.5). n is the number of independent values in the block. One block
-counts for at most `MOST`, so that a single unusual block decides nothing.
+This logarithm is the log likelihood ratio of normal variables with unknown spread (profile
+likelihood; Davison, Statistical Models, 2003, ch. 4.5). n is the number of independent values in
+the block. The ratio of one block is limited to `MOST`, so that a single unusual block cannot decide
+the test.
 """
 
 from __future__ import annotations
@@ -20,32 +21,36 @@ from imucald.mount.block_sums import pair_sums
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TO_BE_GOOD = -math.log(1e-2)
-"""One installation in a hundred may have some wrong sign, and there are 16 kinds of wrong sign.
+"""Log ratio that rules out a wrong sign for a *good* mount.
 
-After a ratio of a hundred against each, the odds of any are below one in ten thousand.
+One installation in a hundred may have some wrong sign, and there are 16 kinds of wrong sign. After
+a ratio of 100 against each kind, the odds of any wrong sign are below 1 in 10,000.
 """
 TO_BE_FINE = -math.log(1e-4)
 TO_ACCUSE = -2.0 * math.log(1e-4)
-"""An accusation needs more evidence, as neighbouring blocks are not quite independent."""
+"""Log ratio at which a wrong sign is reported. It is larger than `TO_BE_FINE`, because neighbouring
+blocks are not fully independent."""
 MOST, HELD = 3.0, 40.0
-"""Limits of one block and of a sum: later blocks can still reverse the result of earlier blocks."""
+"""Limits of the log ratio of one block and of a sum. With these limits, later blocks can still
+reverse an earlier result."""
 INDEPENDENT = 5.0
-"""Independent values of a signal in a block: slopes and motion are correlated for a second."""
+"""Number of independent values of a signal in a block: slopes and motion are correlated for about a
+second."""
 LEAST_TICKS = 60
-"""A block with fewer usable ticks does not count."""
+"""Smallest number of usable ticks of a block that counts."""
 ENOUGH = 60
-"""Blocks (6 min of driving) after which the mount no longer waits for a clear result of an
-alternative.
+"""Number of blocks (6 min of driving) after which the mount no longer waits for a clear result of
+the test.
 """
 
 
 def is_seen(ratio: float, blocks: int, least: float) -> bool:
-    """True if a log ratio excludes an alternative, or a long search found no evidence for it."""
+    """True if a log ratio rules out an alternative, or if a long test found no evidence for it."""
     return ratio > least or (blocks > ENOUGH and ratio > -TO_BE_GOOD)
 
 
 def share_seen(ratio: float, blocks: int, least: float) -> float:
-    """Return the share (0 to 1) of the evidence for `is_seen` that has come."""
+    """Return the collected share (0 to 1) of the evidence that `is_seen` needs."""
     if is_seen(ratio, blocks, least):
         return 1.0
     waited = blocks / (ENOUGH + 1) if ratio > -TO_BE_GOOD else 0.0
@@ -53,7 +58,7 @@ def share_seen(ratio: float, blocks: int, least: float) -> float:
 
 
 class Mirrored:
-    """Test of whether two signals of the same motion have equal or opposite signs."""
+    """Test whether two signals of the same motion have equal or opposite signs."""
 
     def __init__(self, floor: float, independent: float = INDEPENDENT) -> None:
         self._floor = BLOCK_TICKS * floor * floor
@@ -66,7 +71,7 @@ class Mirrored:
         self.sum, self.blocks = 0.0, 0
 
     def add_signals(self, x: Array, y: Array, use: Flags) -> None:
-        """Take a block's signals (N,)."""
+        """Take the two signals (N,) of a block."""
         if np.count_nonzero(use) < LEAST_TICKS:
             return
         _, xx, xy, yy = pair_sums(x, y, use, centred=True)
@@ -76,13 +81,13 @@ class Mirrored:
         self.blocks += 1
 
     def is_seen(self, least: float) -> bool:
-        """True if the hypothesis holds: the opposite is excluded, or a long search found nothing
-        for it.
+        """True if the signs are equal: the opposite sign is ruled out, or a long test found no
+        evidence for it.
         """
         return is_seen(self.sum, self.blocks, least)
 
     def share(self, least: float) -> float:
-        """Return the share (0 to 1) of the evidence for `is_seen` that has come."""
+        """Return the collected share (0 to 1) of the evidence that `is_seen` needs."""
         return share_seen(self.sum, self.blocks, least)
 
     @property

@@ -1,9 +1,10 @@
 """Detection of a moved sensor. All tests for a move and the changes found in this drive are here.
 
-`joint.sudden_changes` sees a sudden rotation. `large_change` sees a yaw by several degrees in
-single blocks, and a tilt where that filter does not run: without a gyroscope or a speed, or before
-it has a solution. `joint.moves` sees a small move once enough road has been driven. `creep` sees a
-slow one.
+`joint.sudden_changes` detects a sudden rotation with a filter. `large_change` detects a yaw
+rotation by several degrees in single blocks. Where the filter of `joint.sudden_changes` does not
+run, `large_change` also detects a tilt: without a gyroscope, without a speed, or before the first
+solution. `joint.moves` detects a small move after enough road was driven. `creep` detects a slow
+move.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 
 
 class SuddenTurn(Struct, frozen=True):
-    """A sudden rotation that was found: the largest of its angles, by axis (0 roll, 1 pitch, 2
-    yaw).
+    """A sudden rotation of the sensor, described by its largest angle.
 
-    size: that angle [rad]; deviations: the same in standard deviations. blocks: number of blocks
-    since. turn: (3,) whole rotation vector in vehicle axes [rad].
+    axis: 0 roll, 1 pitch, 2 yaw. size: largest angle [rad]. deviations: largest angle in standard
+    deviations. blocks: number of blocks since the rotation. turn: (3,) whole rotation vector in
+    vehicle axes [rad].
     """
 
     axis: int
@@ -41,7 +42,7 @@ class SuddenTurn(Struct, frozen=True):
 
     @classmethod
     def from_change(cls, change: SuddenChange) -> SuddenTurn:
-        """Return the rotation of a change that is a turn."""
+        """Return the rotation of a sudden change that is a turn."""
         axis = int(np.abs(change.size).argmax())
         size, std = float(change.size[axis]), math.sqrt(change.covariance[axis, axis])
         return cls(axis, size, size / std, change.blocks, change.size)
@@ -54,17 +55,18 @@ SHIFTS_ALLOWED = 1
 ALERT_LIMIT = math.radians(1.0)
 """Error of an angle [rad] below which no consumer is misled."""
 ALERT_DEVIATIONS = 4.0
-"""Number of stated deviations below which the error of an angle misleads no consumer
+"""Error of an angle, in stated deviations, below which no consumer is misled
 (records/integrity.md).
 """
 
 
 MOST_TILT = 0.35
-"""Largest change of gravity that a zero of the accelerometer can cause [rad]: 350 mg."""
+"""Largest change in the direction of gravity that a zero error of the accelerometer can cause
+[rad]: 350 mg."""
 
 
 class GoodMount(Struct, frozen=True):
-    """R: R_vehicle_from_sensor, by rows; std: deviations about the vehicle's axes (3,) [rad]."""
+    """R: R_vehicle_from_sensor, row by row. std: deviations about the vehicle's axes (3,) [rad]."""
 
     R: Rows
     std: tuple[float, ...]
@@ -73,10 +75,10 @@ class GoodMount(Struct, frozen=True):
 class TakenChange(Struct):
     """A change that was found.
 
-    block: its number in the drive. change: result of the test, for one angle. std: stated deviation
-    of that angle at that time [rad]. before, after: the good mount before the change, and the good
-    mount when the next change came; None if there was none. is_borne: the change misleads no
-    consumer, and the rotation stayed in use.
+    block: number of the block in the drive. change: result of the test, for one angle. std: stated
+    deviation of this angle at this time [rad]. before: good mount before the change. after: good
+    mount at the time of the next change. before and after are None if there was no good mount.
+    is_borne: the change misleads no consumer, and the rotation stayed in use.
     """
 
     block: int
@@ -87,12 +89,12 @@ class TakenChange(Struct):
     is_borne: bool = False
 
     def turn(self, now: GoodMount | None) -> tuple[Array, Array] | None:
-        """Return the rotation of the mount since the change, or None.
+        """Return the rotation of the mount since the change, or None if one of the two mounts is
+        not known.
 
-        The result is a rotation vector (3,) about the vehicle's axes and the larger deviation (3,)
-        [rad] of both mounts; None if one mount is not known.
-
-        now: the mount that is good now, if no other change has come.
+        The result is a rotation vector (3,) about the vehicle's axes [rad] and, for each axis (3,),
+        the larger deviation of the two mounts [rad]. now: present good mount, if there was no other
+        change since.
         """
         after = self.after if now is None else now
         if self.before is None or after is None:
@@ -106,7 +108,7 @@ class MountChanges:
     """Tests for a moved sensor in one drive.
 
     history: each change that was found. borne: movement of each angle (3,) [rad] since the applied
-    rotation was found, if it misleads no consumer.
+    rotation was found, if the movement misleads no consumer.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -118,7 +120,8 @@ class MountChanges:
     def at_once(
         self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker, is_watched: bool
     ) -> LargeChange | None:
-        """Return a rotation that this block alone shows: while standing, or by the gyroscope alone.
+        """Return a rotation that this block alone shows: while standing, or from the gyroscope
+        alone.
 
         carried: has a rotation, and has already taken the block. is_watched: as in `large`.
         """
@@ -132,7 +135,7 @@ class MountChanges:
         return change
 
     def take_block(self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker) -> None:
-        """Take a block, which is compared with earlier and later blocks."""
+        """Take a block, and compare it with earlier and later blocks."""
         assert carried.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         use = driven(p)
@@ -143,7 +146,8 @@ class MountChanges:
     def large(self, carried: CarriedForce, is_watched: bool) -> LargeChange | None:
         """Return a rotation by several degrees within the last blocks.
 
-        is_watched: the filter of `joint.sudden_changes` tells a tilt from a step of a zero.
+        is_watched: the filter of `joint.sudden_changes` runs and can distinguish a tilt from a step
+        of a zero error.
         """
         found = self._large.found(with_yaw=carried.own_gyro)
         return None if is_watched and _may_be_zero(found) else found
@@ -152,15 +156,15 @@ class MountChanges:
     def is_bearable(found: MountChange, std: float) -> bool:
         """True if the applied correction misleads no consumer after a change.
 
-        std: stated deviation of the changed angle [rad], without the part that the same change
-        added before it was confirmed.
+        std: stated deviation of the changed angle [rad]. If the unconfirmed change has enlarged
+        this deviation, the enlargement is left out.
         """
         return math.isfinite(std) and abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
 
     def bear(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> bool:
-        """Take a change that misleads no consumer; return whether it is new.
+        """Take a change that misleads no consumer. Returns True if the change is new.
 
-        std: stated deviation of its angle [rad]; good: the mount before it.
+        std: stated deviation of the changed angle [rad]. good: good mount before the change.
         """
         borne = float(self.borne[found.axis])
         is_new = borne == 0.0 or borne * found.size < 0.0
@@ -173,30 +177,33 @@ class MountChanges:
     def note_change(
         self, found: MountChange, block: int, std: float, good: GoodMount | None
     ) -> None:
-        """Take a change after which the mount is searched again. good: the mount before it."""
+        """Take a change after which the mount is searched again. good: good mount before the
+        change."""
         self.history.append(TakenChange(block, found, std, before=good))
         self._open = self.history[-1]
 
     def end_of_mounting(self, good: GoodMount | None) -> None:
         """End the present mounting, because of another change or a restart.
 
-        good: the mount until now.
+        good: good mount until now.
         """
         if self._open is not None:
             self._open.after = good
         self._open = None
 
     def skip(self) -> None:
-        """Restart the test for large changes: there is no rotation to compare blocks with."""
+        """Restart the test for large changes, because there is no rotation for the comparison of
+        blocks."""
         self._large.restart()
 
     def restart(self) -> None:
-        """Begin another mounting, which is not compared with earlier data."""
+        """Begin another mounting. The data of the new mounting are not compared with earlier
+        data."""
         self._large.restart()
         self.borne[:] = 0.0
 
     def know_borne(self) -> None:
-        """Note that the mounting since a tolerated change is known now."""
+        """Note that the mount since a tolerated change is known now."""
         self._open = next((one for one in reversed(self.history) if one.is_borne), None)
         self.restart()
 
@@ -206,18 +213,19 @@ class MountChanges:
         return len(self.history) > SHIFTS_ALLOWED
 
     def shifted_again(self) -> list[float]:
-        """Change of each angle [rad] that has shifted repeatedly; 0 for the others."""
+        """Change of each angle [rad] that has shifted repeatedly; 0 for an angle that has not."""
         every = [one.change for one in self.history]
         by_axis = [[change.size for change in every if change.axis == axis] for axis in range(3)]
         return [math.fsum(x) if len(x) > SHIFTS_ALLOWED else 0.0 for x in by_axis]
 
     def turns(self, now: GoodMount | None) -> list[tuple[Array, Array] | None]:
-        """Return `TakenChange.turn` of each change. now: the mount that is good now."""
+        """Return `TakenChange.turn` of each change. now: present good mount."""
         return [one.turn(now if one is self._open else None) for one in self.history]
 
 
 def _may_be_zero(found: LargeChange | None) -> bool:
-    """True if a rotation may be a step of a zero, which turns no gyroscope."""
+    """True if the change may be a step of the accelerometer's zero error. The gyroscope does not
+    show such a step."""
     return (
         found is not None and found.axis < 2 and not found.is_felt and abs(found.size) < MOST_TILT
     )

@@ -14,7 +14,7 @@ from imucald.mount.restored import KnowsSensor, Phase, RestoredEstimator, Stored
 
 def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
     """Return the mount that an estimator reports now, in a form from which another estimator can
-    continue. None: no mount.
+    continue. None: there is no mount.
     """
     correction = estimator.correction
     if correction is None:
@@ -41,8 +41,8 @@ def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
 
 
 def doubt_of(estimator: MountEstimator) -> str:
-    """Return why the mount that an estimator serves is suspect, in words; "" where the reason is
-    unknown.
+    """Return in words why the applied mount is suspect; "" if the mount is not suspect or the
+    reason is unknown.
     """
     if estimator.state not in BAD:
         return ""
@@ -60,10 +60,10 @@ def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
 
 
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
-    """Return the reported mount of an estimator, held; None: no mount.
+    """Return an estimator that holds the mount reported now; None: there is no mount.
 
-    The estimator that found the mount continues as well, because it detects best when the drive
-    contradicts the mount.
+    The given estimator continues inside, because it detects best whether the drive contradicts the
+    mount.
     """
     stored = mount_in_force(estimator)
     if stored is None:
@@ -74,9 +74,10 @@ def held(estimator: MountEstimator) -> RestoredEstimator | None:
 
 
 def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEstimator:
-    """Return the same mount, from which `inner` takes over when it is as certain.
+    """Return the same mount without the hold. `inner` replaces the mount when its estimate is as
+    certain.
 
-    inner: a new estimator; the data received during the hold are not used.
+    inner: a new estimator. The data received during the hold are not used.
     """
     is_doubted = estimator.phase is Phase.DOUBTED
     stored = replace(estimator.stored, doubted=is_doubted, doubt=doubt_of(estimator))
@@ -85,5 +86,5 @@ def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEst
 
 
 def without_stored(estimator: MountEstimator) -> MountEstimator:
-    """Return the estimator that finds the mount, without a stored mount in front of it."""
+    """Return the estimator that searches the mount, without the stored mount around it."""
     return estimator.inner if isinstance(estimator, RestoredEstimator) else estimator

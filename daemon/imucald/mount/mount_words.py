@@ -1,5 +1,5 @@
-"""Texts about an estimate for people: the convention for "±", the position of the sensor, the
-missing evidence.
+"""Texts about an estimate for people: the meaning of "±", the position of the sensor, the missing
+evidence.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.hysteresis import SLACK
 
 SD_95 = 2.0
-"""Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
+"""Half of a 95 % interval, in standard deviations. All texts for people use this half interval
+after "±"."""
 CONVENTION = "± is 95 % (two standard deviations)"
 ABOUT = (
     f"{CONVENTION}; the state depends on the error left in corrected samples, as turns about an "
@@ -25,11 +26,12 @@ ABOUT = (
 VEHICLE_AXES = ("forward axis", "left axis", "up axis")
 """Names of the axes about which rotations are stated.
 
-Roll, pitch and yaw are names of angles only: at a yaw of 90 deg the roll angle is a rotation about
-the left axis.
+Roll, pitch and yaw are names of angles and not of axes: at a yaw of 90 deg, a change of the roll
+angle is a rotation about the left axis.
 """
 MOST_OF_A_TURN = math.cos(math.radians(30.0))
-"""A rotation is described as one about a vehicle axis if its axis lies within 30 deg of it."""
+"""Smallest cosine of the angle between a rotation's axis and a vehicle axis (30 deg) at which the
+rotation is described as one about the vehicle axis."""
 EVIDENCE_KINDS = {
     "turn": "turns",
     "dvdt": "acceleration",
@@ -37,14 +39,15 @@ EVIDENCE_KINDS = {
     "gravity": "gravity",
     "before": "earlier drives",
 }
-"""Meaning of the last part of an evidence's name."""
+"""Meaning of the last part of the name of a kind of evidence."""
 SENSOR_NAMES = {"accel": "accelerometer", "gyro": "gyroscope"}
-"""Channels for which people use another name."""
+"""Channels that have another name in texts for people."""
 SHOWN_AS_SECONDS = 45.0
 """Shortest time that is shown in minutes [s]."""
 LEAST_LEFT_OUT_S = 1.0
 LEAST_SHOWN_DEG = 0.1
-"""A smaller rotation is not shown as a number, because it would be rounded to zero."""
+"""Smallest rotation [deg] that is shown as a number. A smaller rotation would be rounded to
+zero."""
 UPSIDE_DOWN = (
     "the sensor seems to be upside down and backwards. If it is, write 'calibration: "
     "{orientation: {up: AXIS}}'. If not, its accelerometer has inverted signs: set 'sign: "
@@ -52,30 +55,32 @@ UPSIDE_DOWN = (
 )
 STATED_WRONG = "the stated mount does not fit this drive"
 SAVED_WRONG = "the mount of an earlier drive does not fit this drive"
-"""Text for a mount that the drive contradicts."""
+"""Text for the mount of an earlier drive that this drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
-"""An angle with a larger standard deviation is as good as unknown [deg]."""
+"""Standard deviation [deg] above which an angle counts as unknown."""
 UNKNOWN_HALF_DEG = SD_95 * UNKNOWN_STD_DEG
-"""Half of a 95 % interval above which an angle is as good as unknown [deg]."""
+"""Half of a 95 % interval [deg] above which an angle counts as unknown."""
 
 
 def half_width(std_deg: float | None) -> float | None:
-    """Return half of the 95 % interval [deg] of a standard deviation [deg]; None: not known."""
+    """Return half of the 95 % interval [deg] for a standard deviation [deg]; None: not known."""
     if std_deg is None or not std_deg < UNKNOWN_STD_DEG:
         return None
     return SD_95 * std_deg
 
 
 def plus_minus(std_deg: float | None, digits: int = 2, unit: str = "°") -> str:
-    """Format a standard deviation [deg] as people read it, "±0.71°"; "-" where it is not known."""
+    """Return a standard deviation [deg] as a text for people, such as "±0.71°"; "-" if it is not
+    known."""
     half = half_width(std_deg)
     return "-" if half is None else f"±{half:.{digits}f}{unit}"
 
 
 def sent_words(correction: Mapping[str, Any] | None) -> str:
-    """Return the errors left in corrected samples, ± in one line; "" where they are not known.
+    """Return the remaining errors of corrected samples as one line with ±; "" if they are not
+    known.
 
-    correction: as in docs/json.md; an older daemon gives none.
+    correction: as in docs/json.md; None from an older daemon.
     """
     if correction is None:
         return ""
@@ -89,15 +94,16 @@ def sent_words(correction: Mapping[str, Any] | None) -> str:
 
 
 def angle_text(value: float | None, std_deg: float | None) -> str:
-    """Format an angle and its standard deviation [deg] as people read them, "+14.23° ±0.71°"."""
+    """Return an angle and its standard deviation [deg] as a text for people, such as "+14.23°
+    ±0.71°"."""
     known = value is not None and half_width(std_deg) is not None
     return f"{value:+.2f}° {plus_minus(std_deg)}" if known else "-"
 
 
 def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
-    """Return angle and deviation in two cells.
+    """Return the angle and its deviation as two table cells.
 
-    mount: as in docs/json.md (an older daemon gives no ±).
+    mount: as in docs/json.md. An older daemon gives no deviation.
     """
     text = angle_text(mount[f"{angle}_deg"], _angle_std(mount, angle))
     value, _, spread = text.partition(" ")
@@ -105,26 +111,27 @@ def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
 
 
 def _angle_std(mount: Mapping[str, Any], angle: str) -> float | None:
-    """Return the deviation [deg] of an angle; an older daemon does not give it."""
+    """Return the deviation [deg] of an angle; None from an older daemon."""
     std: float | None = mount.get("angle_std_deg", {}).get(angle)
     return std
 
 
 def judged_std(mount: Mapping[str, Any], axis: str) -> float | None:
-    """Return the deviation [deg] about a vehicle axis by which a state is judged.
+    """Return the deviation [deg] about a vehicle axis that is compared with the limits.
 
-    mount: as in docs/json.md; an older daemon judged by the deviation of the rotation.
+    mount: as in docs/json.md. An older daemon compares the deviation of the rotation.
     """
     found: float | None = mount.get("judged_std_deg", mount["std_deg"])[axis]
     return found
 
 
 def target_words(result: Mapping[str, Any], axis: str) -> tuple[str, bool]:
-    """Return the limit for the deviation about an axis in words, and whether it holds.
+    """Return in words the limit for the deviation about an axis, and whether the deviation is below
+    this limit.
 
-    result: as in docs/json.md, or a status. The limit is that of the next state: without progress,
-    of the first whose limit the deviation has not reached. Where *fine* is kept beyond its limit,
-    it is the limit at which it ends.
+    result: as in docs/json.md, or a status. The limit belongs to the next state. If the result has
+    no progress, the limit belongs to the first state whose limit is exceeded. While the state is
+    *fine* although the limit of *fine* is exceeded, the text states the limit at which *fine* ends.
     """
     mount, progress = result["mount"], result.get("progress")
     targets = mount.get("target_std_deg")
@@ -143,12 +150,14 @@ def target_words(result: Mapping[str, Any], axis: str) -> tuple[str, bool]:
 
 
 def percent(share: float) -> str:
-    """Format a share (0 to 1) as people read it; 100 % only once it is complete."""
+    """Return a share (0 to 1) as a percentage for people. The text is 100 % only if the share is
+    complete."""
     return f"{math.floor(100.0 * share)} %"
 
 
 def driving_left(seconds: float | None) -> str:
-    """Return how much driving a gate still takes; "" where it takes none or the time is unknown."""
+    """Return in words the driving time until a condition is met; "" if no time is needed or the
+    time is unknown."""
     if not seconds:
         return ""
     if seconds < SHOWN_AS_SECONDS:
@@ -157,8 +166,8 @@ def driving_left(seconds: float | None) -> str:
 
 
 def progress_words(progress: Mapping[str, Any] | None) -> str:
-    """Return the condition that takes longest: "to fine: up axis 34 %, about 2 min of driving"; or
-    "".
+    """Return the condition that takes longest, such as "to fine: up axis 34 %, about 2 min of
+    driving"; "" if no condition is open.
     """
     waiting = [gate for gate in (progress or {}).get("gates", ()) if gate["share"] < 1.0]
     if progress is None or not waiting:
@@ -170,7 +179,7 @@ def progress_words(progress: Mapping[str, Any] | None) -> str:
 
 
 def angles_line(mount: Mapping[str, Any]) -> str:
-    """Return `roll +14.40° ±1.10°, pitch ..., yaw ...`; "" before the angles are known."""
+    """Return the line `roll +14.40° ±1.10°, pitch ..., yaw ...`; "" before the angles are known."""
     if mount["quaternion_wxyz"] is None:
         return ""
     texts = ((name, angle_text(mount[f"{name}_deg"], _angle_std(mount, name))) for name in ANGLES)
@@ -178,7 +187,7 @@ def angles_line(mount: Mapping[str, Any]) -> str:
 
 
 def how_it_sits(estimate: MountEstimate) -> str | None:
-    """Return where the sensor's axes point, in words; None before there is any estimate."""
+    """Return in words where the sensor's axes point; None before there is any estimate."""
     R, std = estimate.R_vehicle_from_sensor, estimate.std
     if R is None or std is None:
         return None
@@ -187,7 +196,7 @@ def how_it_sits(estimate: MountEstimate) -> str | None:
 
 
 def steep_note(estimate: MountEstimate) -> str | None:
-    """Return the note that the angles of a steep mount need; None if it is not steep."""
+    """Return the note about the angles of a steep mount; None if the mount is not steep."""
     angles, quaternion = estimate.angles, estimate.quaternion
     if angles is None or quaternion is None:
         return None
@@ -197,9 +206,9 @@ def steep_note(estimate: MountEstimate) -> str | None:
 def mirror_note(estimate: MountEstimate) -> str | None:
     """Return the note for an unconfirmed mount that is upside down and backwards.
 
-    An accelerometer that outputs minus the specific force gives the same mount on a sensor that
-    sits the right way round. Returns None if the mount is another one, or if signals have confirmed
-    it.
+    An accelerometer that outputs the negative specific force leads to the same mount, although the
+    sensor is upright and points forward. Returns None if the mount is another one, or if signals
+    have confirmed the mount.
     """
     R, std = estimate.R_vehicle_from_sensor, estimate.std
     if R is None or std is None or not estimate.details.get("not_checked"):
@@ -213,20 +222,20 @@ def mirror_note(estimate: MountEstimate) -> str | None:
 
 
 def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Return names and reason, angles with the same reason together: ("roll, pitch", "a
-    standstill").
+    """Return names of angles and their reason, such as ("roll, pitch", "a standstill"). Angles with
+    the same reason are in one item.
     """
     for text in dict.fromkeys(waiting_for.values()):
         yield ", ".join(name for name, one in waiting_for.items() if one == text), text
 
 
 def is_trouble(text: str) -> bool:
-    """True if a reason is one that more driving does not solve."""
+    """True if a reason is a problem that more driving does not solve."""
     return text.startswith("the mount ") or any(words in text for words in WORDS.values())
 
 
 def reasons_line(waiting_for: Mapping[str, str]) -> str:
-    """Return the reasons in one line: "waiting for roll, pitch: a standstill; yaw: more
+    """Return all reasons in one line, such as "waiting for roll, pitch: a standstill; yaw: more
     driving".
     """
     found = list(reasons(waiting_for))
@@ -237,9 +246,10 @@ def reasons_line(waiting_for: Mapping[str, str]) -> str:
 
 
 def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
-    """Return why a stated or saved mount is wrong.
+    """Return in words why a stated or saved mount is wrong.
 
-    turned_deg: rotation of the drive's own mount against it [deg], if the drive has one.
+    turned_deg: rotation between this mount and the drive's own mount [deg]; None if the drive has
+    no mount of its own.
     """
     text = STATED_WRONG if is_given else SAVED_WRONG
     if turned_deg is None:
@@ -248,7 +258,7 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
 
 
 def doubt_words(waiting_for: Mapping[str, str]) -> str:
-    """Return the contradictions among the reasons for which an estimate waits; "" without any."""
+    """Return the contradictions among the reasons in `waiting_for`; "" if there are none."""
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
@@ -256,7 +266,8 @@ CAUSES_LEFT_OUT = {"no valid samples": "no valid sample", "speed_jump": "jumps"}
 
 
 def left_out_words(details: Mapping[str, Any]) -> str:
-    """Return the data that were not used, by signal, cause and time; "" for less than a second."""
+    """Return in words the data that were not used, by signal, cause and time. Data of less than a
+    second are left out."""
     parts = []
     for one in details.get("not_learnt_from", ()):
         if one["seconds"] >= LEAST_LEFT_OUT_S:
@@ -269,15 +280,14 @@ def left_out_words(details: Mapping[str, Any]) -> str:
 
 
 def is_move(shift: Mapping[str, Any]) -> bool:
-    """True if an item of `details.shifts` is a moved sensor and not a change within its
-    interval.
-    """
+    """True if an item of `details.shifts` is a moved sensor. A change within its interval is
+    not."""
     return shift.get("within_deg") is None
 
 
 def change_words(shift: Mapping[str, Any]) -> str:
-    """Return an item of `details.shifts` as a sentence; its time is the time at which it was
-    found.
+    """Return an item of `details.shifts` as a sentence. The time of an item is the time at which
+    the change was found.
     """
     prefix = "the sensor was found moved: " if is_move(shift) else ""
     return prefix + moved_words(shift)
@@ -286,9 +296,9 @@ def change_words(shift: Mapping[str, Any]) -> str:
 def moved_words(shift: Mapping[str, Any]) -> str:
     """Return a sentence about a moved sensor. shift: an item of `details.shifts`.
 
-    A change that lies within the stated interval is no move: it widens the interval. The test that
-    finds a change looks at one angle, and may see the rotation about another axis there. The mount
-    that is found afterwards shows the real rotation.
+    A change that lies within the stated interval is not a move: it widens the interval. The test
+    that finds a change examines one angle at a time, and may find the rotation in another angle
+    than the true one. The mount that is estimated afterwards shows the real rotation.
     """
     turn = shift.get("turn_deg")
     if not is_move(shift):

@@ -1,9 +1,10 @@
-"""The 25 degree limit: gravity through the mount points further off the vertical than any road.
+"""The 25 degree limit: it is exceeded if gravity, rotated by the mount, is further from the
+vertical than on any road.
 
-`is_off_vertical` checks blocks while the estimator learns. `PlumbLine` checks tick by tick for a
-mount that is only served. A few seconds are enough while the vehicle stands. While it drives, or
-where that is unknown, the check takes half a minute. No vehicle keeps up 0.5 g for so long, which
-would look the same.
+`is_off_vertical` checks blocks while the estimator learns. `PlumbLine` checks every tick for a
+mount that is only applied. While the vehicle stands, a few seconds of data are enough. While the
+vehicle drives, or if this is unknown, the check needs half a minute. A lasting acceleration of 0.5
+g would look the same, but no vehicle accelerates so long.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import SignalBlock
 
 MAX_OFF_VERTICAL = math.radians(25.0)
-"""The steepest street has 35 % (19.3 deg, Baldwin Street).
+"""Limit of the angle between gravity and the vertical [rad].
 
-The rest is the possible error of a mount that was levelled on one slope.
+The steepest street has a slope of 35 % (19.3 deg, Baldwin Street). The remaining angle allows for
+the error of a mount that was levelled on a slope.
 """
 
 STANDING_TICKS = 32
@@ -32,12 +34,12 @@ _COS = math.cos(MAX_OFF_VERTICAL)
 
 
 def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
-    """True if gravity, through R, points further from the vertical than any road does.
+    """True if gravity, rotated by R, is further from the vertical than on any road.
 
-    Gravity must be off the vertical both as measured and with the motion removed, so that neither
-    hard driving nor a wrong speed or turn rate triggers the limit. While the vehicle drives and no
-    signal shows turns, a bend may be arbitrarily sharp, so a block is not judged; `large_change`
-    uses more blocks.
+    Gravity must exceed the limit both with and without the motion in the force. The limit is
+    therefore exceeded neither by hard driving nor by a wrong speed or turn rate. Without a signal
+    that shows turns, a block of driving is not judged, because its bend may be arbitrarily sharp.
+    `large_change` judges such data over more blocks.
     """
     use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)
     n, *sums = masked_sums(p.force, use)
@@ -60,13 +62,13 @@ class PlumbLine:
         self._standing = False
         self._clear()
         self.is_off = False
-        """True if gravity was off the vertical when its direction was last known."""
+        """True if gravity exceeded the limit when its direction was last known."""
 
     def _clear(self) -> None:
         self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
     def take_tick(self, tick: TickRow, correction: Correction | None) -> None:
-        """Take a tick and the correction that is applied to it."""
+        """Take a tick and the correction that is applied to the tick."""
         if tick[SPEED.n]:
             standing = abs(tick[SPEED.mean]) < ZERO_SPEED
             if standing is not self._standing:

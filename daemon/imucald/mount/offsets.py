@@ -1,4 +1,5 @@
-"""Zero offsets of the gyroscope and of the vehicle's yaw rate: both should read zero at rest."""
+"""Zero offsets of the gyroscope and of the vehicle's yaw rate, measured at rest, where both rates
+are zero."""
 
 from __future__ import annotations
 
@@ -12,17 +13,19 @@ from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
 MIN_TICKS = 8
 """Smallest number of ticks at rest in a usable block."""
 REST_MEMORY = 250.0
-"""Ticks at rest after which an offset is forgotten, because it wanders with temperature."""
+"""Largest weight of an offset, in ticks at rest. Older data are forgotten, because the offset
+changes with temperature."""
 MAX_STEP = 0.02
-"""Largest step of a known bias [rad/s]."""
+"""Largest change of an offset that is already known [rad/s]."""
 GUESS_TICKS = 250
-"""Ticks of driving from which a gyro bias can be guessed without a rest."""
+"""Number of driving ticks from which a gyroscope bias can be guessed without a rest."""
 MAX_TURNS = 250
-"""Blocks behind such a guess at most: half an hour."""
+"""Largest number of blocks for the guess of a gyroscope bias: half an hour."""
 
 
 class Offsets:
-    """Gyro bias (3,) and yaw-rate offset [rad/s], each with its number of ticks at rest."""
+    """Gyroscope bias (3,) and offset of the vehicle's yaw rate [rad/s], each with its number of
+    ticks at rest."""
 
     def __init__(self) -> None:
         self.gyro_bias: Array = np.zeros(3)
@@ -39,9 +42,10 @@ class Offsets:
         self._turns: deque[float] = deque(maxlen=MAX_TURNS)
 
     def doubt_gyro(self) -> None:
-        """Search the bias again because the sensor was moved or exchanged.
+        """Determine the bias again, because the sensor was moved or exchanged.
 
-        The old bias is used until then. A wrong bias of 0.4 deg/s would tilt the vertical by 6 deg.
+        The old bias is used until a new bias is known. A wrong bias of 0.4 deg/s would tilt the
+        vertical by 6 deg.
         """
         self._is_old = self._is_old or self.gyro_ticks > 0.0 or self._moving >= GUESS_TICKS
         self.gyro_ticks = 0.0
@@ -74,10 +78,10 @@ class Offsets:
     def guess_gyro(self, rate: Array, force: Array) -> bool:
         """Guess the bias before the first rest.
 
-        The guess is the mean rate about the level axes and the median about the vertical.
-
-        A road vehicle does not pitch or roll continuously, and drives straight most of the time.
-        rate, force: raw, (n, 3). Returns whether there has been enough driving to use the guess.
+        About the level axes, the guess is the mean rate. About the vertical, the guess is the
+        median rate. A road vehicle does not pitch or roll continuously, and drives straight most of
+        the time. rate, force: raw values (n, 3). Returns True if the vehicle has driven enough to
+        use the guess.
         """
         if len(rate):
             self._moving += len(rate)
@@ -92,8 +96,8 @@ class Offsets:
 
 
 def _middle(x: Array) -> float:
-    """Return the median of (n,), n > 0. numpy's own median first imports its masked arrays, a tenth
-    of the start time.
+    """Return the median of (n,), n > 0. `numpy.median` would import masked arrays, which takes a
+    tenth of the start time.
     """
     ordered = np.sort(x)
     return 0.5 * float(ordered[(len(x) - 1) // 2] + ordered[len(x) // 2])

@@ -1,12 +1,14 @@
 """Warm start: the mount of an earlier drive is used until this drive's own estimate replaces it.
 
-The warm start wraps any estimator. The stored rotation is usable at once, as *restored*. The
-estimator inside restarts, so its results are new evidence. If it agrees, the stored rotation is
-confirmed and stays in use until the new one is as certain. If it contradicts, the stored rotation
-becomes *suspect* until the new one can be used, and then changes slowly to the new one.
+The warm start wraps any estimator. The stored rotation is usable at once, with the state
+*restored*. The estimator inside restarts, so its results are new evidence. If the new estimate
+agrees with the stored rotation, the stored rotation is confirmed. A confirmed rotation stays in use
+until the new estimate is equally certain. If the new estimate contradicts the stored rotation, the
+stored rotation becomes *suspect*. Once the new estimate is usable, the applied rotation changes
+slowly to the new estimate.
 
-What an earlier drive found of the sensor itself is prior information of the new evidence
-(`joint.known`), so a known sensor is found again soon.
+The knowledge of the sensor itself from an earlier drive is prior information of the new evidence
+(`joint.known`), so the errors of a known sensor are found again soon.
 
 A *held* mount stays: the drive may confirm or contradict it, but does not change it.
 """
@@ -43,26 +45,28 @@ from imucald.mount.off_vertical_limit import PlumbLine
 from imucald.mount.slewing import SlewedCorrection
 
 COMPARE_TICKS = 10
-"""Ticks between comparisons of the two: once a second."""
+"""Number of ticks between two comparisons of the stored mount with the new estimate: one second."""
 AGREEMENT = 11.3
-"""Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
+"""Chi-square with 3 degrees of freedom (99 %) below which the two mounts agree."""
 CONTRADICTION = 16.3
-"""Chi-square with 3 degrees of freedom, 99.9 %: more is contradiction."""
+"""Chi-square with 3 degrees of freedom (99.9 %) above which the two mounts contradict each
+other."""
 DOUBTS = 8
-"""Number of contradictions in a row (8 s, so from two fits) that makes the stored mount suspect.
+"""Number of contradictions in a row that makes the stored mount suspect. This number of
+contradictions takes 8 s, so the contradictions come from at least two solutions.
 """
 CONTRADICTIONS = 15
-"""Number of contradictions in a row after which the stored mount is dropped: one bad road is no
-remount."""
+"""Number of contradictions in a row after which the stored mount is dropped. A single bad road
+gives fewer contradictions."""
 HAND_OVER_RATE = math.radians(1.0)
 """Rate at which the applied correction moves to the new estimate [rad/s]."""
 CLEAR_STD = math.radians(20.0)
-"""Largest deviation of an angle [rad] that can show the error of a stated mount."""
+"""Largest deviation of an angle [rad] at which the angle can show an error of a stated mount."""
 HELD = "the end of the hold (imucald release)"
 HELD_BY_CONFIGURATION = (
     "the end of the hold in the configuration ('calibration: mount: hold: true')"
 )
-"""Text of the condition for which a held mount waits."""
+"""Text of the missing condition of a mount that the configuration holds."""
 
 NONE_JUDGED: Mapping[str, bool] = {}
 
@@ -70,11 +74,12 @@ NONE_JUDGED: Mapping[str, bool] = {}
 class StoredMount(Struct, frozen=True):
     """Result of an earlier drive.
 
-    R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`. state: the
-    state it had, USABLE or FINE. doubted: it was suspect when it was stored. is_given: a person
-    stated it. doubt: why it was suspect, in words, where that is known. applied: correction that
-    was applied with it, where it is more than the rotation. sent: deviations that this correction
-    left in the samples. sensor: knowledge about the sensor itself, where the estimator finds it.
+    R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`. state: state
+    of the mount in the earlier drive, USABLE or FINE. doubted: the mount was suspect when it was
+    stored. is_given: a person stated the mount. doubt: reason in words why the mount was suspect;
+    "" if not known. applied: correction that was applied with the mount; None: the rotation alone.
+    sent: deviations of the errors that remained in the corrected samples. sensor: knowledge about
+    the sensor itself; None if the estimator does not determine it.
     """
 
     R_vehicle_from_sensor: Matrix3
@@ -95,7 +100,7 @@ class StoredMount(Struct, frozen=True):
 
 @runtime_checkable
 class TakesStatedMount(Protocol):
-    """Interface of an estimator that uses what a person states about the mount."""
+    """Interface of an estimator that uses a person's statement about the mount."""
 
     def take_stated_mount(self, R: Matrix3) -> None:
         """Take R_vehicle_from_sensor as a person states it."""
@@ -107,22 +112,24 @@ class KnowsSensor(Protocol):
     """Interface of an estimator that finds errors of the sensor itself."""
 
     def known_sensor(self) -> KnownSensor | None:
-        """Knowledge about the sensor itself, independent of the mount."""
+        """Return the knowledge about the sensor itself, which does not depend on the mount."""
         ...
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of the mount against that of the earlier drive; None: none is compared."""
+        """Chi-square (3 degrees of freedom) between this mount and the mount of the earlier drive;
+        None: there is no comparison."""
         ...
 
     def leave_mount(self) -> None:
-        """Use the knowledge of the sensor for another mount: it was moved since."""
+        """Discard the mount of the earlier drive because the sensor was moved since, and keep the
+        knowledge of the sensor itself."""
         ...
 
     def take_known_sensor(self, known: KnownSensor, is_moved: bool) -> None:
-        """Begin with what an earlier drive found of the sensor.
+        """Begin with the knowledge of the sensor from an earlier drive.
 
-        is_moved: the sensor was moved since.
+        is_moved: the sensor was moved since the earlier drive.
         """
         ...
 
@@ -130,8 +137,8 @@ class KnowsSensor(Protocol):
 class Contradicted(Struct, frozen=True):
     """Time at which the drive first showed that the stored mount is wrong.
 
-    t: number of ticks so far, in seconds. turned: rotation of the drive's own mount against the
-    stored one [rad]. None: the drive has no mount yet, and gravity is far off the vertical.
+    t: number of ticks so far, in seconds. turned: rotation between the drive's own mount and the
+    stored mount [rad]. None: the drive has no mount yet, and gravity is far from the vertical.
     """
 
     t: float
@@ -149,11 +156,12 @@ class Phase(enum.StrEnum):
 
 
 class RestoredEstimator:
-    """A `MountEstimator` that uses the mount of an earlier drive in place of its inner estimator's
+    """An estimator that applies the mount of an earlier drive in place of its inner estimator's
     mount.
 
-    is_held: that mount stays. phase: CONFIRMED or RESTORED, if the drive has already confirmed it
-    or not. by_configuration: the configuration holds the mount, not an order.
+    is_held: the earlier mount is not replaced. phase: CONFIRMED if the drive has already confirmed
+    the mount, otherwise RESTORED. by_configuration: the mount is held by the configuration and not
+    by an order.
     """
 
     def __init__(
@@ -187,7 +195,8 @@ class RestoredEstimator:
 
     @property
     def serves_stored(self) -> bool:
-        """True if the stored mount is in use, and not this drive's own or a transition to it."""
+        """True if the stored mount is in use. False during the transition to this drive's own mount
+        and after it."""
         return self.phase not in (Phase.HANDING_OVER, Phase.NEW)
 
     @property
@@ -197,7 +206,8 @@ class RestoredEstimator:
 
     @property
     def state(self) -> MountState:
-        """RESTORED until the new evidence decides, then the state from that evidence."""
+        """RESTORED until the new evidence decides, then the state that follows from this
+        evidence."""
         if self.phase is Phase.NEW:
             return MountState.SUSPECT if self._is_contradicted_inside else self.inner.state
         if self.phase is Phase.RESTORED:
@@ -211,8 +221,8 @@ class RestoredEstimator:
 
     @property
     def stuck_signals(self) -> Mapping[str, bool]:
-        """Stuck signals of the vehicle from the inner estimator; none if it does not look for
-        them.
+        """Stuck signals of the vehicle from the inner estimator; empty if the inner estimator does
+        not look for stuck signals.
         """
         return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
 
@@ -232,11 +242,12 @@ class RestoredEstimator:
             self._remember_contradiction()
 
     def gap(self) -> None:
-        """Note a jump of time: no value from before may be differenced with a later one."""
+        """Note a jump of time: no difference is taken between values before the jump and values
+        after it."""
         self.inner.gap()
 
     def estimate(self) -> MountEstimate:
-        """Return the present state of knowledge."""
+        """Return the present estimate."""
         new = self.inner.estimate()
         if self.state is MountState.FINE:  # the drive's own estimate may wait for something still
             new = replace(new, waiting_for={}, missing={})
@@ -266,19 +277,21 @@ class RestoredEstimator:
 
     @property
     def _is_shown_wrong(self) -> bool:
-        """True if this drive shows that the stored mount is wrong. A contradiction to the drive's
-        own mount does not show this.
+        """True if this drive shows that the stored mount is wrong, by the drive's own mount or by
+        gravity.
         """
         return self._turned is not None or self._plumb_line.is_off
 
     def _against_statement(self, served: MountEstimate) -> MountEstimate:
-        """Return the contradiction to the mount that a person stated, in words."""
+        """Return the estimate with its contradiction to the mount that a person stated, in
+        words."""
         turned = None if self._turned is None else math.degrees(self._turned)
         words = dict.fromkeys(ANGLES, contradicted_words(turned))
         return replace(served, waiting_for=words, missing=dict.fromkeys(ANGLES, Missing.OTHER))
 
     def known_sensor(self) -> KnownSensor | None:
-        """Knowledge about the sensor itself."""
+        """Return the knowledge about the sensor itself, from this drive or from the stored
+        mount."""
         if self.is_held or self.phase in (Phase.RESTORED, Phase.DOUBTED):
             return self.stored.sensor
         return self.inner.known_sensor() if isinstance(self.inner, KnowsSensor) else None
@@ -313,11 +326,12 @@ class RestoredEstimator:
 
     @property
     def _is_contradicted_inside(self) -> bool:
-        """True if the drive's own mount still contains a stored one that is contradicted."""
+        """True if the drive's own mount still uses the stored mount as a prior, although the stored
+        mount is contradicted."""
         return self._contradictions >= DOUBTS and self._contradiction is not None
 
     def _compare(self) -> None:
-        """Compare the new evidence with the stored mount, and decide which one is used."""
+        """Compare the new evidence with the stored mount, and decide which mount is used."""
         distance = self._distance()
         if distance is None:
             return
@@ -332,7 +346,7 @@ class RestoredEstimator:
             self._judge()
 
     def _distance(self) -> float | None:
-        """Return the chi-square of the new estimate against the stored one."""
+        """Return the chi-square between the new estimate and the stored mount, or None."""
         if self.phase is Phase.NEW:
             return self._contradiction
         new = self.inner.estimate()
@@ -347,10 +361,10 @@ class RestoredEstimator:
 
     @property
     def _contradiction(self) -> float | None:
-        """Chi-square (3) by an estimator that knows the sensor.
+        """Chi-square (3 degrees of freedom) from an estimator that knows the sensor.
 
-        Both rotations depend on the same knowledge of the sensor, so they seem closer than they
-        are. The estimator knows their common part.
+        The new and the stored rotation depend on the same knowledge of the sensor, so they seem
+        closer to each other than they are. The inner estimator takes this common part into account.
         """
         return self.inner.contradiction if isinstance(self.inner, KnowsSensor) else None
 
@@ -372,7 +386,7 @@ class RestoredEstimator:
             self.phase = Phase.HANDING_OVER
 
     def _follow(self) -> None:
-        """Turn towards the new estimate until it is reached."""
+        """Move the applied correction towards the new estimate until both are equal."""
         target = self.inner.correction
         if target is None:  # the new estimate is not reliable after all
             self.phase = Phase.DOUBTED
@@ -384,7 +398,8 @@ class RestoredEstimator:
 
 
 def _waiting_for_release(served: MountEstimate, by_configuration: bool) -> MountEstimate:
-    """Return the condition for a held mount to become *fine*: the end of the hold."""
+    """Return the estimate with the condition that a held mount needs to become *fine*: the end of
+    the hold."""
     if served.state is MountState.FINE:
         return served
     return replace(

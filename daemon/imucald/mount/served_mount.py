@@ -15,14 +15,14 @@ from imucald.mount.states import MountKnowledge, is_mount_uncertain, judged, rep
 UNSENT = frozenset({MountState.WAITING, MountState.LEVELLED})
 """States in which no correction is sent."""
 SLEW_RATE = math.radians(0.5)
-"""The applied correction turns no faster than this [rad/s]."""
+"""Largest rate at which the applied correction turns [rad/s]."""
 
 
 class ServedMount:
-    """Judges the knowledge after each block, and follows a good correction tick by tick.
+    """Judges the knowledge after each block, and changes the applied correction tick by tick.
 
-    state: the reported state. has_moved: the mount has moved, and no good correction was applied
-    since. step: follows the correction by one tick.
+    state: reported state. has_moved: the mount has moved, and no good correction was applied since.
+    move_on: moves the applied correction on by one tick.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -50,7 +50,7 @@ class ServedMount:
 
     @property
     def has_arrived(self) -> bool:
-        """True if the applied correction equals the one that was found last."""
+        """True if the applied correction equals the correction that was found last."""
         return self._slewed.has_arrived
 
     @property
@@ -65,12 +65,11 @@ class ServedMount:
         has_faults: bool,
         found_correction: Callable[[], Correction],
     ) -> None:
-        """Find the state after a block.
+        """Determine the state after a block.
 
-        In a good state, turn towards the correction that was found.
-
-        has_faults: a contradiction of the estimate stands. found_correction: makes the correction
-        from the evidence so far.
+        In a good state, the correction that was found becomes the target of the applied correction.
+        has_faults: there is a contradiction to the estimate. found_correction: function that
+        returns the correction from the present evidence.
         """
         found = self._accepted(judged(known, self.state, self._settings), acceptance)
         before, is_uncertain = self.state, is_mount_uncertain(known, self.state, self._settings)
@@ -85,8 +84,8 @@ class ServedMount:
             self.state = MountState.RECALIBRATING if before in BAD else before
 
     def _accepted(self, found: MountState, acceptance: Acceptance) -> MountState:
-        """Return the accepted state: not *fine* before the tests work, and not good while a
-        contradiction stands.
+        """Return the accepted state. The state is not *fine* before the tests for a moved sensor
+        work, and a new mount does not become good during a contradiction.
         """
         if found in GOOD and self.good is None and acceptance.missing_to_be_good() is not None:
             return MountState.LEVELLED

@@ -1,8 +1,8 @@
-"""Convert ticks to even signals: force, rate, speed, dv/dt and yaw rate on one 10 Hz grid.
+"""Convert ticks to signals on an even 10 Hz grid: force, rate, speed, dv/dt and yaw rate.
 
-The work is done in blocks of `BLOCK_TICKS` ticks, `LAG` ticks late, so that signals slower than the
-grid can be interpolated between samples on both sides. Every tick has a flag that says whether it
-is usable.
+The conversion is done in blocks of `BLOCK_TICKS` ticks, with a delay of `LAG` ticks. With this
+delay, signals slower than the grid can be interpolated between samples on both sides. Every tick
+has a flag that says whether the tick is usable.
 """
 
 from __future__ import annotations
@@ -59,20 +59,21 @@ __all__ = [
 BLOCK_S = BLOCK_TICKS * TICK_S
 MISSING = "no valid samples"
 NEIGHBOUR_TICKS = 2
-"""Number of ticks around a stuck tick that also have no value or no slope."""
+"""Number of ticks before and after a stuck tick that also have no value or no slope."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
-"""Speed that is used for v r where there is no speed signal [m/s]; the gain of v r is free."""
+"""Speed [m/s] that is used for v r if there is no speed signal. The gain of v r is then
+estimated."""
 DRIFT, DRIFT_NO_GYRO = 0.3, 1.0
-"""Lasting error of the forward force [m/s^2]: with a gyroscope that carries the vertical, and
-without one, as roads climb by 10 %.
+"""Lasting error of the forward force [m/s^2]. First value: the vertical is integrated with a
+gyroscope. Second value: there is no gyroscope, and roads have slopes up to 10 %.
 """
 BLOCKS_WITHOUT_SPEED = 4
-"""Blocks without any speed after which the estimator works without speed (26 s)."""
+"""Number of blocks (26 s) without a speed after which the estimator works without speed."""
 
 
 class SignalBlock(Struct):
-    """One block, N = BLOCK_TICKS. Where a flag is False, values are finite but meaningless."""
+    """One block, N = BLOCK_TICKS. If a flag is False, its value is finite but meaningless."""
 
     t: Array
     force: Array  # (N, 3) [m/s^2] sensor axes
@@ -85,30 +86,32 @@ class SignalBlock(Struct):
     ok_speed: Flags
     ok_yaw: Flags
     rest: Flags
-    learn: Flags  # nothing forbids to learn
-    steering: Array  # (N,) steering-wheel angle as it comes [rad]
+    learn: Flags  # the tick may be used for learning
+    steering: Array  # (N,) steering-wheel angle as received [rad]
     ok_steering: Flags
-    had_rate: Flags  # as ok_rate, but also while the bias was not known
-    gyro_bias: Array  # (3,) what was taken off the rate
+    had_rate: Flags  # as ok_rate, but also True while the bias was not known
+    gyro_bias: Array  # (3,) bias that was subtracted from the rate [rad/s]
     sided: Mapping[str, tuple[Array, Flags]] = field(default_factory=dict)
-    # Other signals that tell left from right: lateral_accel (N,) [m/s^2], and heading (N,) [rad] as
-    # received, without jumps at north. Each has a flag where it is known.
+    # Other signals that distinguish left from right: lateral_accel (N,) [m/s^2], and heading (N,)
+    # [rad] as received, without jumps at north. Each has flags (N,) of the known values.
     rate_walk: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    # Growth of the angle's variance from samples that come seldom, sensor axes [rad^2/s], see
-    # `gyro_walk`.
-    least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
-    speed_knots: Array | None = None  # (K,) when the speed is known [ticks since the block began]
-    has_speed: bool = True  # False: none has ever come; `nominal_speed` stands for it
-    direction: float = 1.0  # -1 while the reverse gear is in
+    # Growth of the variance of the integrated angle if samples are seldom, sensor axes [rad^2/s],
+    # see `gyro_walk`.
+    least_speed: float = 0.0  # the vehicle may creep this fast at a speed signal of zero [m/s]
+    speed_knots: Array | None = None  # (K,) times of known speeds [ticks since the block began]
+    has_speed: bool = True  # False: no speed was ever received, `nominal_speed` is used
+    direction: float = 1.0  # -1 while the reverse gear is engaged
 
     @property
     def nominal_speed(self) -> Array:
-        """(N,) [m/s] what stands for the speed of a vehicle without one; it shows rest and gear."""
+        """Assumed speed (N,) [m/s] of a vehicle without a speed signal: zero at rest, negative in
+        reverse gear."""
         return np.where(self.rest, 0.0, self.direction * NOMINAL_SPEED)
 
 
 class MountSoFar(Struct, frozen=True):
-    """Forward and up (3,) in sensor axes, the speed's delay, and the deviation of the delay [s]."""
+    """Forward and up direction (3,) in sensor axes, delay of the speed, and deviation of this delay
+    [s]."""
 
     forward: Array
     up: Array
@@ -117,14 +120,15 @@ class MountSoFar(Struct, frozen=True):
 
 
 class SignalBlockMaker:
-    """Keeps the last ticks and cuts them into blocks."""
+    """Keeps the last ticks and divides them into blocks."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
         self._rows = empty_rows(ROWS)
         self._n = KEEP
         self._begins = True
-        """True if the next block includes ticks before the first tick; no data were lost there."""
+        """True if the next block includes ticks before the first tick. No data were lost in such
+        ticks."""
         self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0
@@ -136,21 +140,21 @@ class SignalBlockMaker:
         self.blocks = 0
         self._mount: MountSoFar | None = None
         self.left_out: Counter[tuple[str, str]] = Counter()
-        """Ticks that were not used, by signal and cause."""
+        """Number of ticks that were not used, by signal and cause."""
         self.stuck: Mapping[str, bool] = {}
-        """For each vehicle signal, whether any tick of the last block was stuck."""
+        """True or False for each vehicle signal: whether any tick of the last block was stuck."""
 
     def take_mount(self, known: MountSoFar | None) -> None:
-        """Take the mount as known at the end of the last block; None: too little is known."""
+        """Take the mount at the end of the last block; None: the mount is not known well enough."""
         self._mount = known
 
     @property
     def without_speed(self) -> bool:
-        """True if there has been no speed signal for long enough to work without speed."""
+        """True if no speed signal has come for long enough to work without speed."""
         return self.blocks > BLOCKS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:
-        """Take a tick; return True when a block is complete and `block` must be called."""
+        """Take a tick. Returns True when a block is complete. The caller must then call `block`."""
         self._rows[self._n] = tick
         self._n += 1
         return self._n == ROWS
@@ -161,14 +165,14 @@ class SignalBlockMaker:
         return ROWS - self._n
 
     def push_all(self, ticks: Array) -> None:
-        """Take ticks (n, COLUMNS), fewer than `until_block`."""
+        """Take ticks (n, COLUMNS). n must be smaller than `until_block`."""
         self._rows[self._n : self._n + len(ticks)] = ticks
         self._n += len(ticks)
 
     def expect(self, ticks: Array) -> None:
         """Compute in advance all blocks that ticks (n, COLUMNS) complete.
 
-        These ticks must be the next ones and must still be pushed, unless `restart` is called.
+        The caller must still push these ticks as the next ticks, unless `restart` is called.
         """
         self._expected.clear()
         rows = np.concatenate([self._rows[: self._n], ticks])
@@ -188,7 +192,8 @@ class SignalBlockMaker:
         self.health.restart()
 
     def _even(self) -> EvenBlock | None:
-        """Return the precomputed block, or compute it now."""
+        """Return the precomputed block. If there is none, compute it now; None if force or rate has
+        a hole."""
         rows = self._rows
         while self._expected:
             end, block = self._expected.popleft()
@@ -266,8 +271,8 @@ class SignalBlockMaker:
         return prepared
 
     def _speed_knots(self, first_end: float) -> Array | None:
-        """Return the times at which the speed is known in a block whose first tick ends at
-        `first_end` [s].
+        """Return the times at which the speed is known in a block [ticks since the block began];
+        None: in each tick. first_end: end of the block's first tick [s].
         """
         if self._speed.knots.times is None:
             return None
@@ -297,14 +302,16 @@ class SignalBlockMaker:
             self._leave_out("speed", MISSING, open_ticks, ~p.ok_speed)
 
     def _leave_out(self, signal: str, cause: str, open_ticks: Flags, flags: Flags) -> None:
-        """Count the flagged ticks among the open ticks (N,), and close them."""
+        """Count the ticks that are both open and flagged, and remove them from the open ticks
+        (N,)."""
         own = open_ticks & flags
         if count := int(np.count_nonzero(own)):
             self.left_out[signal, cause] += count
             open_ticks &= ~own
 
     def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
-        """Return force (N + 2, 3), where it is known, and whether it equals the precomputed one."""
+        """Return the force (N + 2, 3), flags of the known values, and whether the force equals the
+        force in `even`."""
         stuck = self._stuck_sensor("accel", even is None or even.force_repeats)
         if even is not None and stuck is None:
             return even.force, even.ok_force, True
@@ -312,7 +319,8 @@ class SignalBlockMaker:
         return *bridged(at, times, values, ACCEL_GAP), False
 
     def _rate(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
-        """Return the same for the rate."""
+        """Return the rate (N + 2, 3), flags of the known values, and whether the rate comes from
+        complete data without a stuck sensor."""
         stuck = self._stuck_sensor("gyro", even is None or even.rate_repeats)
         is_even = even is not None and stuck is None
         if is_even and even is not None and not even.rate_seldom:
@@ -323,7 +331,7 @@ class SignalBlockMaker:
         return *bridged(at, times, values, ACCEL_GAP), is_even
 
     def _stuck_sensor(self, signal: str, may_be: bool) -> Flags | None:
-        """Return the ticks at which a sensor is stuck; None: at none."""
+        """Return the ticks at which a sensor is stuck; None: no tick."""
         if not may_be:
             self.health.sensor_moves(signal)
             return None
@@ -334,7 +342,7 @@ class SignalBlockMaker:
         self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags | None
     ) -> tuple[Array, Array, Array]:
         """Return times (M,) [s], means (M, 3) and numbers of samples (M,) of the ticks that have
-        any.
+        samples.
         """
         rows = self._rows
         has = rows[:, columns.n] > 0
@@ -348,7 +356,8 @@ class SignalBlockMaker:
         )
 
     def _seen_forward(self) -> SeenForward | None:
-        """Return the speed changes by the accelerometer, in all ticks."""
+        """Return the speed changes that the accelerometer shows, for all ticks; None if the mount
+        is not known."""
         known = self._mount
         if known is None:
             return None
@@ -402,11 +411,11 @@ class SignalBlockMaker:
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle & ok_speed
 
     def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags | None:
-        """Return the ticks of the rows at which the yaw rate stays constant while steering or
-        gyroscope changes; None: none.
+        """Return the ticks at which the yaw rate stays constant while the steering angle or the
+        gyroscope changes; None: no tick.
 
-        If there is a steering angle, only steering is used: a sensor that is turned by hand turns
-        the gyroscope too.
+        If there is a steering angle, the gyroscope is not used, because a sensor that is turned by
+        hand also turns the gyroscope.
         """
         rows, v = self._rows, self._settings.vehicle
         runs = None if even is None else even.yaw_runs
@@ -448,7 +457,7 @@ class SignalBlockMaker:
         return found
 
     def _take_offsets(self, p: SignalBlock) -> None:
-        """Learn the offsets at rest and subtract them."""
+        """Estimate the offsets at rest and subtract them."""
         offsets = self.offsets
         use = p.rest & p.ok_rate & p.learn
         if np.count_nonzero(use):

@@ -1,9 +1,9 @@
 """Checks of the signals against one another: present contradictions, and agreement.
 
 `contradictions` finds pairs of signals that contradict each other. `alternatives` rules out wrong
-signs and exchanged axes. This module combines both block by block and decides whether the rotation
-must be searched again. The rotation is wrong in two cases: a contradiction is new, or the rotation
-was found during a contradiction that has ended.
+signs and exchanged axes. This module uses the results of both modules in every block and decides
+whether the rotation must be searched again. The search is repeated in two cases: a new
+contradiction begins, or a contradiction ends during which the rotation was found.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.stated_orientation import Stated
 
 STUCK_BLOCKS = 40
-"""While a contradiction stands, the rotation is searched again every 4 min, because the mount may
-move.
+"""Number of blocks (4 min) after which the rotation is searched again while a contradiction is
+present, because the mount may move.
 """
 FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
-"""Faults that end when a new rotation is found during the fault: that rotation stays."""
+"""Faults that end when a new rotation is found during the fault. This new rotation stays in use."""
 
 AGAINST_A_PERSON: dict[Stated, StandingFault] = {
     "up": StandingFault.ORIENTATION,
@@ -40,14 +40,15 @@ OF_NO_PAIR = frozenset(
         StandingFault.ACCEL_DRIFT,
     }
 )
-"""Faults that are not contradictions between signals: another rotation does not end them."""
+"""Faults that are not contradictions between two signals. Another rotation does not end these
+faults."""
 
 
 class SignalChecks:
     """Compares the signals of a drive with one another.
 
-    standing: present contradictions. history: all contradictions that ever began, each with
-    the number of its first block.
+    standing: present contradictions. history: all contradictions of the drive, each with the number
+    of its first block.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -64,10 +65,10 @@ class SignalChecks:
         kept: Sequence[SignalBlock],
         fits_no_sensor: bool = False,
     ) -> bool:
-        """Take a block; return whether the rotation must be searched again, from this block on.
+        """Take a block. Returns True if the rotation must be searched again, from this block on.
 
         carried: has already taken the block. signals: the maker of the block. kept: the last
-        blocks. fits_no_sensor: the evidence contradicts itself, for whatever rotation.
+        blocks. fits_no_sensor: no rotation of any sensor fits the evidence.
         """
         if signals.without_speed:
             self.standing = ()
@@ -98,7 +99,7 @@ class SignalChecks:
     def is_motion_accused(self) -> bool:
         """True if the force contradicts dv/dt or v r now.
 
-        Such signals are no evidence of the mount or of a move.
+        In this state, the signals are no evidence of the mount or of a move.
         """
         return not FOUND_ANEW.isdisjoint(self.standing)
 
@@ -108,22 +109,22 @@ class SignalChecks:
             self.standing = (*self.standing, fault)
 
     def hold_against_orientation(self, R: Matrix3, is_yaw_known: bool, block: int) -> None:
-        """Set a fault if the sensor is found to sit the other way round than stated.
+        """Set a fault if the sensor sits in the opposite direction to the stated orientation.
 
-        R: R_vehicle_from_sensor (3, 3).
+        R: R_vehicle_from_sensor (3, 3). block: number of the block.
         """
         stated = self._alternatives.contradicted_orientation(R, is_yaw_known)
         if stated is not None:
             self.accuse_lasting(AGAINST_A_PERSON[stated], block)
 
     def accuse_lasting(self, fault: StandingFault, block: int) -> None:
-        """Set a fault that is found outside this class in each block. block: its number."""
+        """Set a fault that another class finds in each block. block: number of the block."""
         self.accuse(fault)
         if fault not in {seen for _, seen in self.history}:
             self.history.append((block, fault))
 
     def forget_forces(self) -> None:
-        """Forget the evidence of the forces, because it was about another rotation."""
+        """Forget the evidence of the forces, because this evidence is about an earlier rotation."""
         self._contradictions.forget_forces()
 
     def restart(self) -> None:
@@ -132,30 +133,32 @@ class SignalChecks:
         self._alternatives.restart()
 
     def take_mount(self, R: Matrix3) -> None:
-        """Take R_vehicle_from_sensor (3, 3) as a person states it: it rules out its mirror
-        image.
+        """Take R_vehicle_from_sensor (3, 3) as a person states it. The statement can rule out the
+        mirror image of the drive.
         """
         self._alternatives.take_mount(R)
 
     def missing_to_be_good(self) -> str | None:
-        """Return in words the evidence that an estimate needs to become good; None: nothing."""
+        """Return in words the evidence that an estimate needs to become good; None: no more
+        evidence is needed."""
         return self.doubt or self._alternatives.missing(TO_BE_GOOD)
 
     @property
     def doubt(self) -> str | None:
-        """Return the same for signals with known signs and places."""
+        """Return in words the evidence that is needed because signals contradict each other; None:
+        no more evidence is needed."""
         is_doubtful = self._contradictions.doubtful
         return "more bends: some signals contradict each other" if is_doubtful else None
 
     @property
     def have_agreed(self) -> bool:
-        """True if all signals were seen to agree, as certainly as *fine* needs."""
+        """True if all signals were seen to agree, with the certainty that *fine* needs."""
         return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
 
     def share(self, is_fine: bool) -> float:
-        """Return the share (0 to 1) of the evidence of agreement that has come.
+        """Return the collected share (0 to 1) of the evidence that the signals agree.
 
-        is_fine: for *fine*.
+        is_fine: return the share for *fine*, not for *usable*.
         """
         if not is_fine:
             return self._alternatives.share(TO_BE_GOOD)
@@ -164,11 +167,12 @@ class SignalChecks:
 
     @property
     def is_mirror_excluded(self) -> bool:
-        """True if any evidence has ruled out the mirror image of this drive."""
+        """True if the mirror image of this drive is ruled out, by a signal or by a person's
+        statement."""
         return self._alternatives.is_mirror_excluded
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """Return in words the properties that no signal of this vehicle shows and no person has
-        stated."""
+        """Return, in words, the properties that no signal of this vehicle shows and that no person
+        has stated."""
         return self._alternatives.not_checked

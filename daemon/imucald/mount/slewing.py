@@ -1,4 +1,4 @@
-"""The applied correction: it follows the estimated one at a limited rate, tick by tick."""
+"""The applied correction: it moves to the estimated correction at a limited rate, tick by tick."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 
 ANOTHER_ANSWER = math.radians(30.0)
-"""A target further away than this [rad] is applied at once. The sign was wrong, so all rotations in
-between are wrong too.
+"""Angle [rad] to the target above which the target is applied at once. In this case the sign was
+wrong, so all rotations between the two corrections are wrong too.
 """
 NEAR = math.radians(0.2)
-"""A target nearer than this [rad] counts as reached: each fit moves the target a little."""
+"""Angle [rad] to the target below which the target counts as reached: each new solution moves the
+target a little."""
 
 
 class SlewedCorrection:
-    """Moves towards a target no faster than `rate` [rad/s]; the first target is applied at once.
+    """Moves the applied correction towards a target at `rate` [rad/s] or slower. The first target
+    is applied at once.
 
-    Rotation, matrices and offsets arrive together. The difference of a matrix from the rotation
-    counts as an angle. An offset counts as the lean of gravity that would cause it. An offset of
-    the rate of 1 rad/s counts as 1 rad.
+    Rotation, matrices and offsets reach the target at the same time. The difference between a
+    matrix and the rotation counts as an angle. An offset of the force counts as the tilt of gravity
+    that would cause it. An offset of the rate of 1 rad/s counts as 1 rad.
     """
 
     def __init__(self, rate: float) -> None:
@@ -34,7 +36,7 @@ class SlewedCorrection:
         self.correction: Correction | None = None
 
     def aim(self, target: Correction) -> None:
-        """Set the target; setting the same one again changes nothing."""
+        """Set the target. The same target again has no effect."""
         if target == self._target:
             return
         self._target = target
@@ -43,7 +45,7 @@ class SlewedCorrection:
 
     @property
     def has_arrived(self) -> bool:
-        """True if the target is applied, up to `NEAR`."""
+        """True if the applied correction is closer to the target than `NEAR`."""
         target, now = self._target, self.correction
         if target is None or now is None:
             return False
@@ -57,11 +59,11 @@ class SlewedCorrection:
         return target is not None and now is not None and target is not now
 
     def clear(self) -> None:
-        """Apply nothing."""
+        """Remove the correction and the target."""
         self._target = self.correction = None
 
     def move_on(self) -> None:
-        """Move on by one tick."""
+        """Move the applied correction on by one tick."""
         target, now = self._target, self.correction
         if target is None or now is None or target is now:  # as `is_moving`
             return
@@ -81,15 +83,16 @@ class SlewedCorrection:
 
 
 def _apart(a: Correction, b: Correction) -> float:
-    """Return the distance of two corrections without their rotations [rad]."""
+    """Return the distance of two corrections [rad]. The difference of their rotations is left
+    out."""
     if a.is_rotation and b.is_rotation:
         return 0.0
     return float(np.abs(_rest(a) - _rest(b)).max())
 
 
 def _rest(c: Correction) -> NDArray[np.float64]:
-    """Return (24,) the differences of the matrices from the rotation, and the offsets, as angles
-    [rad].
+    """Return the part of a correction beyond its rotation (24,) as angles [rad]: the differences of
+    the matrices from the rotation, and the offsets.
     """
     R = np.array(c.rotation)
     offsets = np.array(c.force_offset) / GRAVITY, np.array(c.rate_offset)
@@ -97,7 +100,7 @@ def _rest(c: Correction) -> NDArray[np.float64]:
 
 
 def _with_rest(turned: Correction, rest: NDArray[np.float64]) -> Correction:
-    """Return the correction of a rotation and of the rest that `_rest` gives."""
+    """Return the correction of a rotation with the additional part that `_rest` returns."""
     R = np.array(turned.rotation)
     return Correction.with_matrices(
         turned.matrix(),

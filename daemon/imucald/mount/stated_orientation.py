@@ -1,11 +1,12 @@
-"""Compare a person's rough statement of how the sensor sits with the rotation that was found.
+"""Compare the orientation that a person states roughly with the rotation that was found.
 
-The mirror image of a drive (all signs of the accelerometer turned) reverses up and forward. A drive
-that goes backwards reverses forward and left. Both are 180 deg from the truth. A rough statement of
-which axis points up, or forward, is therefore enough to rule them out.
+The mirror image of a drive (all signs of the accelerometer inverted) reverses up and forward. A
+drive in reverse without a reverse signal reverses forward and left. In both cases, the rotation is
+wrong by 180 deg. A rough statement of the axis that points up, or forward, is therefore enough to
+rule out a wrong rotation.
 
-An axis within 60 deg of the stated direction confirms the rotation; one beyond 120 deg contradicts
-it.
+An axis within 60 deg of the stated direction confirms the rotation. An axis beyond 120 deg
+contradicts the rotation.
 """
 
 from __future__ import annotations
@@ -19,17 +20,18 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 
 CLEAR = 0.5
-"""Part of an axis along the stated direction from which it confirms, within 60 deg.
+"""Smallest cosine of the angle between an axis and the stated direction at which the axis confirms
+the rotation (60 deg).
 
-With the other sign it contradicts. In between, the axis is nearer to level (or across) than up or
-down.
+With a cosine below -CLEAR, the axis contradicts the rotation. With values in between, the axis is
+closer to level (or across) than to up or down.
 """
 FORWARD, UP = 0, 2
 Stated = Literal["up", "forward"]
 
 
 class StatedOrientation:
-    """The sensor's axes that point up and forward, as far as a person has stated them."""
+    """The sensor's axes that point up and forward, if a person has stated them."""
 
     def __init__(self, stated: OrientationSettings) -> None:
         given = {UP: stated.up, FORWARD: stated.forward}
@@ -39,13 +41,13 @@ class StatedOrientation:
     def take_mount(self, R: Matrix3) -> None:
         """Take the whole mount that a person states.
 
-        If it is not the one found, it confirms nothing.
+        If the mount that is found is another one, the statement confirms nothing.
         """
         self._mount = R
 
     def contradicted(self, R: Matrix3, yaw_known: bool) -> Stated | None:
-        """Return the key whose axis points the other way in R_vehicle_from_sensor; up before
-        forward.
+        """Return the key, "up" or "forward", whose axis points in the opposite direction in
+        R_vehicle_from_sensor. If both do, the result is "up".
         """
         rows: tuple[tuple[int, Stated], ...] = ((UP, "up"), (FORWARD, "forward"))
         for row, key in rows if yaw_known else rows[:1]:
@@ -54,11 +56,11 @@ class StatedOrientation:
         return None
 
     def confirms_up(self, R: Matrix3) -> bool:
-        """True if a person stated the same direction up."""
+        """True if the direction up in R agrees with a person's statement."""
         return self._confirms(R, UP)
 
     def confirms_forward(self, R: Matrix3) -> bool:
-        """True if a person stated the same direction forward."""
+        """True if the direction forward in R agrees with a person's statement."""
         return self._confirms(R, FORWARD)
 
     def _confirms(self, R: Matrix3, row: int) -> bool:
@@ -68,7 +70,7 @@ class StatedOrientation:
 
 
 def unit_vector(axis: SensorAxis) -> Array:
-    """Return the vector (3,) of "x", "-z" and so on in sensor axes."""
+    """Return the vector (3,) of an axis such as "x" or "-z" in sensor axes."""
     out = np.zeros(3)
     out["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
     return out

@@ -1,6 +1,6 @@
 """States of the joint estimator with their hysteresis, and the missing evidence of each angle.
 
-`Manoeuvres` counts the manoeuvres so far: launches, brakings, turns to either side.
+`Manoeuvres` counts the manoeuvres so far: launches, brakings, left turns and right turns.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from imucald.mount.hysteresis import BAD, GOOD, SLACK, Level, best_level
 from imucald.mount.mount_words import SD_95, UNKNOWN_STD_DEG, VEHICLE_AXES
 
 HARD_ACCEL = 1.0
-"""Acceleration or braking [m/s^2] from which a manoeuvre counts."""
+"""Acceleration or braking [m/s^2] above which a manoeuvre counts."""
 HARD_TURN = 0.8
-"""Lateral acceleration [m/s^2] from which a turn counts."""
+"""Lateral acceleration [m/s^2] above which a turn counts."""
 HARD_TICKS = 5
 """Shortest duration of a manoeuvre in ticks."""
 
@@ -31,20 +31,20 @@ _COUNT, _RUN = 0, 1
 
 
 class Manoeuvres:
-    """Counts of launches, brakings, turns to either side.
+    """Counts of launches, brakings, left turns and right turns.
 
-    A manoeuvre is an interval above a level that lasts long enough; the level must be left in
-    between.
+    A manoeuvre is an interval above a level that lasts long enough. Between two manoeuvres, the
+    acceleration must fall below half of the level.
     """
 
     def __init__(self) -> None:
         self._state = np.zeros((4, 3), np.int64)
-        """Rows for launches, brakings, lefts, rights: number, ticks of the last one, whether it was
-        counted.
+        """Rows for launches, brakings, left turns, right turns. Columns: number of manoeuvres,
+        ticks of the present interval, 1 if the present interval was counted.
         """
 
     def add_accelerations(self, accel: Array, turn: Array) -> None:
-        """Take a block of dv/dt and v r, zero if they are not trusted."""
+        """Take a block of dv/dt and v r. dv/dt and v r are zero in ticks that are not trusted."""
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))
 
@@ -80,24 +80,27 @@ class Manoeuvres:
 
 
 WIDE_SLACK = 2.0
-"""`SLACK` of *usable* without a gyroscope or a speed: the state rests on few pieces of evidence.
-The deviation of six pieces is known to 29 % (1 / sqrt(2 n)), so twice the limit lies 3.5 such
+"""Factor `SLACK` of *usable* for a vehicle without a gyroscope or a speed, where few pieces of
+evidence determine the state.
+
+The deviation from six pieces has an error of 29 % (1 / sqrt(2 n)). Twice the limit is 3.5 of these
 errors above the limit.
 """
 NEEDED = 3
-"""Launches or brakings that a first solution usually needs."""
+"""Number of launches or brakings that a first solution usually needs."""
 NO_SAMPLES = "valid accelerometer samples: none in the last minute (missing, faulty or too slow)"
 
 
 class MountKnowledge(Struct, frozen=True):
     """Knowledge by which the states are judged.
 
-    std: deviations of the level zero y and x as tilts, and of the larger cross-talk xy or yx as a
-    yaw [rad]; infinite before a solution. cross_talk: deviations of xy and yx. std_without_drift:
-    `std` if the accelerometer's zero were known not to drift; None: the same. std_of_sound: `std`
-    if the mount were known not to move either; None: the same. turning: any signal shows turns.
-    has_gyro: the sensor's own gyroscope does. speed_hz: ticks per second with a speed in the last
-    minute. without_speed: none has ever come, so the speed is an unknown.
+    std: deviations of the level zero y and x as tilts, and deviation of the larger cross-talk, xy
+    or yx, as a yaw [rad]; infinite before a solution. cross_talk: deviations of xy and yx [rad].
+    std_without_drift: `std` for an accelerometer whose zero error does not drift; None: equal to
+    `std`. std_of_sound: `std` for such an accelerometer in a mount that does not move; None: equal
+    to `std`. turning: any signal shows turns. has_gyro: the sensor's own gyroscope shows turns.
+    speed_hz: ticks per second with a speed in the last minute. without_speed: no speed was ever
+    received, so the speed is an unknown of the solution.
     """
 
     gravity: bool = False
@@ -156,12 +159,12 @@ def reported(
     has_moved: bool,
     is_uncertain: bool,
 ) -> MountState:
-    """Return the state to report for the state from the evidence (*usable* or *suspect*, ...).
+    """Return the state to report for the state `found` that follows from the evidence.
 
-    A moved sensor is *suspect* first. before: the state so far. has_faults: a contradiction of the
-    estimate stands. was_good: a correction was good before. has_moved: the mount moved and no good
-    rotation was found since. is_uncertain: see `is_mount_uncertain`. An uncertain mount is not
-    suspect.
+    After a move of the sensor, the state is *suspect* first. before: previous state. has_faults:
+    there is a contradiction to the estimate. was_good: there was a good correction before.
+    has_moved: the mount moved and no good rotation was found since. is_uncertain: see
+    `is_mount_uncertain`. An uncertain mount is not *suspect*.
     """
     is_good = found in GOOD
     if has_faults and (is_good or was_good):
@@ -175,9 +178,10 @@ def reported(
 def waiting_for(
     known: MountKnowledge, s: EstimatorSettings, before: MountState = MountState.USABLE
 ) -> dict[str, tuple[str, Missing]]:
-    """Return one reason per angle, in words and as a code; no entry where nothing is missing.
+    """Return one reason per angle, in words and as a code. An angle without missing evidence has no
+    entry.
 
-    before: the reported state. The reasons are those for the next state.
+    before: reported state. The reasons are the missing evidence for the next state.
     """
     if not known.accelerometer:
         text = (
@@ -205,14 +209,15 @@ def waiting_for(
 
 
 class _Goal(Struct, frozen=True):
-    """The next state, and the deviations that it needs [rad]."""
+    """The next state, and the largest deviations [rad] that are allowed in this state."""
 
     state: MountState
     tilt: float
     yaw: float
 
     def far(self, axis: int, std: float) -> str:
-        """Return the distance of a rotation about a vehicle axis from its limit, both as 95 %."""
+        """Return in words the deviation of a rotation about a vehicle axis and its limit, both as
+        95 % values."""
         if not math.degrees(std) < UNKNOWN_STD_DEG:
             return ""
         limit = self.yaw if axis == 2 else self.tilt
@@ -232,7 +237,7 @@ def _hard() -> str:
 
 
 def _first_reason(known: MountKnowledge) -> tuple[str, Missing]:
-    """Return what a first solution needs."""
+    """Return the evidence that a first solution needs."""
     if not known.speed and not (known.without_speed and known.turning):
         return "a speed", Missing.SPEED
     seen = f"{known.straight} and {known.lefts + known.rights} seen"
@@ -242,7 +247,8 @@ def _first_reason(known: MountKnowledge) -> tuple[str, Missing]:
 
 
 def _yaw_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
-    """Return what reduces the larger cross-talk: bends show xy, changes of speed show yx."""
+    """Return the evidence that reduces the larger cross-talk: bends reduce xy, changes of speed
+    reduce yx."""
     xy, yx = known.cross_talk
     if math.isinf(xy):
         return _first_reason(known)
@@ -256,7 +262,8 @@ def _yaw_reason(known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
 
 
 def _level_reason(axis: int, known: MountKnowledge, goal: _Goal) -> tuple[str, Missing]:
-    """Return what reduces the level zero along (axis 1) or across (axis 0)."""
+    """Return the evidence that reduces the level zero along the vehicle (axis 1) or across it (axis
+    0)."""
     if axis == 0 and not known.turning:
         return NO_TURNS, Missing.TURNS
     if math.isinf(known.cross_talk[0]):

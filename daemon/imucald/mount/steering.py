@@ -1,11 +1,12 @@
-"""Zero offset of the steering angle, estimated together with the mount.
+"""Zero offset of the steering-wheel angle, estimated together with the mount.
 
 The offset is needed for straight-line detection.
 
-Steady cornering: delta = n (L + K v^2) r / v + offset. Let delta be the steering-wheel angle, r the
-yaw rate and v the speed. The equation is linear in (1, r / v, r v), so three coefficients are
-fitted by least squares with slow forgetting. The steering need not be calibrated for that. On a
-leaning road the driver steers against the lean, by n K g per radian of it.
+In steady cornering, delta = n (L + K v^2) r / v + offset. Here delta is the steering-wheel angle, r
+the yaw rate and v the speed. The equation is linear in (1, r / v, r v), so three coefficients are
+fitted by least squares with slow forgetting. The steering ratio n, the wheelbase L and the
+understeer K need not be known. On a road that leans, the driver steers against the lean, by n K g
+per radian of lean.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 
 MIN_SPEED = 4.0
-"""Smallest speed [m/s]: below it tyres scrub and r / v is noisy."""
+"""Smallest speed [m/s]: below this speed, tyres scrub and r / v is noisy."""
 MAX_LATERAL = 3.0
-"""Largest lateral acceleration [m/s^2]: beyond it tyres are not linear."""
+"""Largest lateral acceleration [m/s^2]: above this value, the tyres are not linear."""
 KEEP = 0.999
-"""Forgetting factor per block of 6.4 s: a memory of half an hour and more."""
+"""Forgetting factor per block of 6.4 s: a memory of more than half an hour."""
 NOISE = 0.03
 """Residual of the steering-wheel angle [rad]: play, transients, camber."""
 CORRELATION_TICKS = 10.0
@@ -37,7 +38,7 @@ _WEIGHT = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
 
 
 class SteeringOffsetEstimator:
-    """Running least squares; `offset` and `std` [rad]."""
+    """Least-squares fit of the steering offset that is updated with every block."""
 
     def __init__(self) -> None:
         self._sums = [0.0] * 9  # of 1, x = r / v, y = r v; x x, x y, y y; the angle by 1, x, y
@@ -57,7 +58,8 @@ class SteeringOffsetEstimator:
     def fitted(self, crown: float, crown_std: float) -> tuple[float, float] | None:
         """Return the offset and its standard deviation [rad], or None without data.
 
-        crown: mean lean of the roads [rad], left side up; the driver steers n K g crown against it.
+        crown: mean lean of the roads [rad], positive if the left side is higher. The driver steers
+        n K g crown against this lean.
         """
         if not self.seen:
             return None
@@ -69,7 +71,8 @@ class SteeringOffsetEstimator:
         return offset - against * crown, std
 
     def _solved(self) -> tuple[float, float, float]:
-        """Return offset, its variance, and angle per lateral force: by elimination, as L D L'."""
+        """Return the offset, its variance, and the angle per lateral force. The equations are
+        solved by elimination, as L D L'."""
         n, x, y, xx, xy, yy, *right = self._sums
         p, q, r = _PRIOR
         first = n + p
@@ -89,8 +92,8 @@ class SteeringOffsetEstimator:
 
 
 def _sums_of(angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> list[float]:
-    """Return the sums of a block, see `SteeringOffsetEstimator`, over the ticks that show the
-    offset.
+    """Return the sums of a block over the ticks that show the offset. The sums are listed in
+    `SteeringOffsetEstimator`.
     """
     lateral = speed * yaw_rate
     use = use & (speed > MIN_SPEED) & (np.abs(lateral) < MAX_LATERAL)

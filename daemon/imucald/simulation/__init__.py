@@ -1,4 +1,5 @@
-"""Simulate vehicle, road, sensors and CAN timing from a seed: a drive with its true motion."""
+"""Simulate vehicle, road, sensors and CAN timing from a seed. The result is a drive with its true
+motion."""
 
 from imucald.model.model import VehicleModel, load_model
 from imucald.simulation.drive import Drive, Truth, simulate

@@ -1,8 +1,8 @@
 """The sprung body on the road: its attitude, its angular rate, and the specific force at a sensor.
 
 Frames: earth (z up) -> road (yaw, slope, cross fall) -> body (suspension pitch and roll). Vehicle
-axes are the body's axes: at rest on a level road they are the ISO 8855 axes. The sensor is fixed to
-the body, so the mount is a rotation of the sensor against the *body*.
+axes are the axes of the body. At rest on a level road, the vehicle axes are the ISO 8855 axes. The
+sensor is fixed to the body, so the mount is a rotation between sensor and *body*.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from imucald.simulation.single_track import VehicleResponse
 
 @dataclass(frozen=True)
 class BodyAttitude:
-    """Attitude of the body against the road and its rates, (N,) each [rad, rad/s]."""
+    """Attitude of the body relative to the road and its rates, (N,) each [rad, rad/s].
+    heave_acceleration: [m/s^2]."""
 
     pitch: Array
     roll: Array
@@ -33,7 +34,7 @@ class BodyAttitude:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """Motion of the sensor's place in body axes: columns x, y, z, each (N,)."""
+    """Motion at the sensor's position in body axes: columns x, y, z, each (N,)."""
 
     force: tuple[Array, Array, Array]
     """Specific force at the sensor [m/s^2]."""
@@ -48,9 +49,10 @@ class BodyMotion:
 def road_force(
     speed: Array, acceleration: Array, handling: VehicleResponse, road: RoadAttitude
 ) -> tuple[Array, Array, Array]:
-    """Specific force (a - g) of the road frame's origin, in road axes [m/s^2].
+    """Return the specific force (a - g) at the origin of the road frame, in road axes [m/s^2].
 
-    The velocity in road axes is (v, v_y, 0); its derivative adds w x v.
+    The velocity in road axes is (v, v_y, 0). The rotation of the road frame adds w x v to the
+    derivative of this velocity.
     """
     r, vy = handling.yaw_rate, handling.lateral_velocity
     p, q = _road_rates(handling, road)[:2]
@@ -62,7 +64,8 @@ def road_force(
 
 
 def _road_rates(handling: VehicleResponse, road: RoadAttitude) -> tuple[Array, Array, Array, Array]:
-    """Angular rate of the road frame in its axes, and the heading rate (Euler kinematics)."""
+    """Return the angular rate of the road frame in its own axes, and the heading rate (Euler
+    kinematics)."""
     sin_roll, cos_roll = np.sin(road.roll), np.cos(road.roll)
     sin_pitch, cos_pitch = np.sin(road.pitch), np.cos(road.pitch)
     heading_rate = (handling.yaw_rate + road.pitch_rate * sin_roll) / (cos_pitch * cos_roll)
@@ -78,7 +81,7 @@ def suspension_attitude(
     roughness: Roughness | None,
     rate: float,
 ) -> BodyAttitude:
-    """Response of the suspension to the specific force in road axes and to the road's
+    """Return the response of the suspension to the specific force in road axes and to the road's
     unevenness."""
     n = len(force_x)
     pitch, roll = np.zeros(n), np.zeros(n)
@@ -111,9 +114,9 @@ def body_motion(
     lever_arm: Vector3,
     rate: float,
 ) -> BodyMotion:
-    """Rotate the road-axes force into body axes and transfer it to the sensor's place.
+    """Rotate the force from road axes into body axes, and transfer it to the sensor's position.
 
-    R_road_from_body = R_y(pitch) R_x(roll); f_sensor = f + w' x l + w x (w x l).
+    R_road_from_body = R_y(pitch) R_x(roll). f_sensor = f + w' x l + w x (w x l).
     """
     p, q, r, heading_rate = _road_rates(handling, road)
     fx, fy, fz = force

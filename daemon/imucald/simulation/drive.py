@@ -1,4 +1,4 @@
-"""A simulated drive: samples as a car's bus would give them, and the true motion."""
+"""A simulated drive: samples as on a car's bus, and the true motion."""
 
 from __future__ import annotations
 
@@ -31,19 +31,20 @@ from imucald.simulation.vehicle_signals import VehicleSignals
 
 MIN_DURATION_S = 1.0
 MOVING_MPS = 1.0
-"""Means 'while driving' use only times above this speed."""
+"""Speed above which a mean 'while driving' uses a time [m/s]."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True motion of a simulated drive; arrays (N,) on the regular times `t`, SI, radians.
+    """True motion of a simulated drive. Arrays are (N,) at the regular times `t`, in SI and rad.
 
-    Angles are ISO 8855 (pitch positive nose down, roll positive left side up): `road_*` of the road
-    plane against the horizontal, `body_*` of the body against the road plane.
+    Angles are ISO 8855 (pitch positive nose down, roll positive left side up). `road_*`: angles of
+    the road plane relative to the horizontal. `body_*`: angles of the body relative to the road
+    plane.
     """
 
     mounts: tuple[tuple[float, Matrix3], ...]
-    """Pairs of a start time [s] and R_vehicle_from_sensor from then on."""
+    """Pairs of a start time [s] and the R_vehicle_from_sensor that is valid from this time on."""
     lever_arm_m: tuple[float, float, float]
     t: Array
     speed: Array
@@ -62,24 +63,25 @@ class Truth:
     body_pitch: Array
     body_roll: Array
     force: NDArray[np.float64]
-    """(N, 3) specific force at the sensor's place, vehicle axes, without vibration."""
+    """Specific force (N, 3) at the sensor's position, vehicle axes, without vibration."""
     reference_force: NDArray[np.float64]
-    """(N, 3) specific force at the body's centre of rotation."""
+    """Specific force (N, 3) at the body's centre of rotation."""
     rate: NDArray[np.float64]
-    """(N, 3) angular rate, vehicle axes."""
+    """Angular rate (N, 3), vehicle axes."""
 
     def R_vehicle_from_sensor(self, t: float | None = None) -> Matrix3:
-        """Return the mount at a time [s]; without a time, at the end of the drive."""
+        """Return the mount at a time [s]. Without a time, return the mount at the end of the
+        drive."""
         reached = [R for start, R in self.mounts if t is None or start <= t]
         return reached[-1] if reached else self.mounts[0][1]
 
     def mean_crown(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
-        """Mean roll of the road while driving [rad]; the mount's roll cannot be separated from
-        it."""
+        """Return the mean roll of the road while driving [rad]. The roll of the mount cannot be
+        separated from this mean."""
         return self._driving_mean(self.road_roll, start_s, stop_s)
 
     def mean_grade(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
-        """Mean pitch of the road while driving [rad], positive downhill."""
+        """Return the mean pitch of the road while driving [rad], positive downhill."""
         return self._driving_mean(self.road_pitch, start_s, stop_s)
 
     def _driving_mean(self, x: Array, start_s: float, stop_s: float) -> float:
@@ -111,20 +113,20 @@ class Drive:
 
     @property
     def duration_s(self) -> float:
-        """Length of the drive [s]."""
+        """Duration of the drive [s]."""
         return float(self.truth.t[-1])
 
     def summary(self) -> dict[str, object]:
-        """Return the truth with seed and model: the content of `truth.json`."""
+        """Return the content of `truth.json`: the truth with seed and model."""
         parameters = self.model.dump()
         return {"seed": self.seed, **self.truth.summary(), "model": parameters}
 
 
 def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
-    """Simulate a drive. The same model, seed and length give the same numbers.
+    """Simulate a drive. The same model, seed and duration give the same numbers.
 
-    Times begin at 0; samples are in sensor axes and SI units (see `imucald.core.samples`).
-    Raises ConfigError for a drive shorter than a second or without an end.
+    Times begin at 0. Samples are in sensor axes and SI units (see `imucald.core.samples`). Raises
+    ConfigError for a duration below one second and for an infinite duration.
     """
     duration_s = 60.0 * minutes
     if not MIN_DURATION_S <= duration_s < math.inf:
@@ -171,7 +173,7 @@ def _body(
 
 
 def _heading(seed: int, body: BodyMotion, rate: float) -> Array:
-    """Heading clockwise from north; the drive begins in a random direction."""
+    """Return the heading clockwise from north [rad]. The drive begins in a random direction."""
     start = float(generator(seed, "heading").uniform(0.0, 2.0 * np.pi))
     return start - np.cumsum(body.heading_rate) / rate
 

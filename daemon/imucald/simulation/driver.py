@@ -13,17 +13,17 @@ from imucald.simulation.filters import gauss_markov, generator, smoothed
 from imucald.simulation.route import Path, build_path
 
 JERK_WINDOW_S = 0.35
-"""Two running means of this width limit the jerk to that of drivers (2-6 m/s^3)."""
+"""Width of each of two running means that limit the jerk to the jerk of drivers (2-6 m/s^3) [s]."""
 STEERING_WINDOW_S = 0.2
-"""The driver's steering follows a bend as smoothly as two running means of this width."""
+"""Width of each of two running means that smooth the driver's steering in a bend [s]."""
 BANKING_WINDOW_S = 0.5
-"""Superelevation changes gradually over this time."""
+"""Time over which superelevation changes [s]."""
 SPEED_WANDER_S = 9.0
-"""Correlation time of the driver's speed variation."""
+"""Correlation time of the variation of the driver's speed [s]."""
 WANDER_GRID_S = 0.5
 STEERING_WANDER_S = 0.8
 CREEP_MPS = 0.2
-"""Lowest mean speed between two nodes at rest."""
+"""Lowest mean speed between two nodes with standstill [m/s]."""
 GRIP_SHARE = 0.6
 """Share of the road's friction that drivers use."""
 STOP_SEARCHES = 3
@@ -31,23 +31,23 @@ STOP_SEARCHES = 3
 SHIFT_SPEEDS_MPS = (4.5, 8.5, 13.5, 19.0)
 SHIFT_WIDTH_MPS = 0.12
 SHIFT_MPS2 = 0.17
-"""During a gear shift the vehicle hardly accelerates: 0.12 m/s at 0.17 m/s^2 takes 0.7 s."""
+"""Acceleration during a gear shift [m/s^2]: the vehicle hardly accelerates. A change of 0.12 m/s at
+0.17 m/s^2 takes 0.7 s."""
 FADE_SPEED_MPS = 42.0
-"""The engine's power limits the acceleration at high speed; at this speed it is zero."""
+"""Speed at which the acceleration is zero, because of the engine's power [m/s]."""
 EASE_SPEED_MPS = 4.0
-"""Below this speed drivers release the brake gradually, to half at standstill."""
+"""Speed below which drivers gradually release the brake, to half at standstill [m/s]."""
 STILL_MPS = 1e-6
 DRIFT_GRID_S = 1.0
 MIN_SPEED_FOR_WANDER = 6.0
-"""Below this speed [m/s] the curvature of steering corrections is limited."""
+"""Speed below which the curvature of steering corrections is limited [m/s]."""
 
 
 @dataclass(frozen=True)
 class Driving:
     """The driver's actions on the grid of the physics; all (N,).
 
-    speed is signed (negative in reverse); distance is the path length driven in both directions
-    [m].
+    speed: signed, negative in reverse [m/s]. distance: driven path length, in both directions [m].
     """
 
     t: Array
@@ -56,16 +56,16 @@ class Driving:
     distance: Array
     curvature: Array
     banked_curvature: Array
-    """Curvature of superelevated road; 0 elsewhere."""
+    """Curvature of a superelevated road; 0 on other roads."""
     braking: Array
 
 
 def drive_route(
     route: DriveRoute, seed: int, duration_s: float, rate: float, friction: float = 1.0
 ) -> Driving:
-    """Drive a route for duration_s [s] on a grid of `rate` [Hz].
+    """Drive a route for duration_s [s] on a time grid of `rate` [Hz].
 
-    friction: of the road; on a slippery road the driver uses smaller accelerations.
+    friction: friction of the road. On a slippery road, the driver uses smaller accelerations.
     """
     t = np.arange(round(duration_s * rate) + 1) / rate
     path = build_path(route, seed, duration_s)
@@ -105,7 +105,8 @@ def _gentle(path: Path, most: float) -> Path:
 def _timed(
     path: Path, route: DriveRoute, seed: int, duration_s: float
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return times, signed speeds, distances and curvatures of the nodes; a stop has two nodes."""
+    """Return times, signed speeds, distances, curvatures and superelevated curvatures of the nodes.
+    A stop has two nodes."""
     moving_start = route.standing_first_s <= 0.0
     limit = _limits(path, route, seed)
     v = _profile(path, limit, moving_start, route.gear_shifts)
@@ -135,8 +136,8 @@ def _timed(
 
 
 def _limits(path: Path, route: DriveRoute, seed: int) -> Array:
-    """Speed limit at each node [m/s], from the target with the driver's variation, bends and
-    stops."""
+    """Return the speed limit at each node [m/s], from the target speed with the driver's variation,
+    bends and stops."""
     rng = generator(seed, "speed_wander")
     planned = np.cumsum(path.step / path.target_mps)
     n = int(planned[-1] / WANDER_GRID_S) + 2
@@ -151,8 +152,8 @@ def _limits(path: Path, route: DriveRoute, seed: int) -> Array:
 
 
 def _profile(path: Path, limit: Array, moving_start: bool, gear_shifts: bool) -> Array:
-    """Highest speed (N,) within the limits and the allowed braking and acceleration at each
-    node."""
+    """Return the highest speed (N,) within the limits, and within the allowed braking and
+    acceleration at each node."""
     v2 = (limit * limit).tolist()
     two_step = (2.0 * path.step).tolist()
     braking = path.braking_mps2.tolist()
@@ -184,14 +185,15 @@ def _profile(path: Path, limit: Array, moving_start: bool, gear_shifts: bool) ->
 
 
 def _node_times(path: Path, v: Array, start_s: float) -> Array:
-    """Arrival time at each node [s]; speed is linear in time between nodes."""
+    """Return the arrival time at each node [s]. Between two nodes, the speed is linear in time."""
     dt = 2.0 * path.step[:-1] / np.maximum(v[:-1] + v[1:], CREEP_MPS)
     dt = dt + path.stop_s[:-1]
     return start_s + np.concatenate(([0.0], np.cumsum(dt)))
 
 
 def _distance(t: Array, speed: Array, rate: float, node_t: Array, node_s: Array) -> Array:
-    """Integral of speed, fixed at the nodes so that bends and stops keep their places."""
+    """Return the integral of the speed [m], corrected at the nodes so that bends and stops keep
+    their places."""
     step = np.abs(speed) / rate
     driven = np.cumsum(step) - 0.5 * (step + step[0])
     coarse = np.arange(0.0, t[-1] + DRIFT_GRID_S, DRIFT_GRID_S)
@@ -201,7 +203,7 @@ def _distance(t: Array, speed: Array, rate: float, node_t: Array, node_s: Array)
 
 
 def _steering_wander(route: DriveRoute, seed: int, speed: Array, rate: float) -> Array:
-    """Small corrections of the driver as curvature (N,) [1/m]."""
+    """Return small steering corrections of the driver as curvature (N,) [1/m]."""
     if route.steering_wander_mps2 == 0.0:
         return np.zeros(len(speed))
     rng = generator(seed, "steering_wander")

@@ -1,6 +1,7 @@
 """Linear recursive filters and seeded noise. scipy.signal is not used, because its import is slow.
 
-A recursive filter ``a * y = b * x`` is a banded triangular system, which BLAS solves in place.
+A recursive filter ``a * y = b * x`` is a banded triangular system. BLAS solves this system in
+place.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ def generator(seed: int, stream: str) -> np.random.Generator:
 
 
 def filtered(b: Sequence[float], a: Sequence[float], x: Array, settled: bool = True) -> Array:
-    """Filter ``a[0] y[n] = sum b[i] x[n-i] - sum a[i] y[n-i]`` of x (N,).
+    """Apply the filter ``a[0] y[n] = sum b[i] x[n-i] - sum a[i] y[n-i]`` to x (N,).
 
-    settled: True if the filter is in steady state for x[0] at the start; otherwise it starts from
-    zero.
+    settled: True if the filter is in steady state for x[0] at the start. Otherwise, the filter
+    starts from zero.
     """
     start = float(x[0]) if settled and len(x) else 0.0
     deviation = x - start
@@ -74,7 +75,7 @@ def bilinear(
 def second_order(
     x: Array, rate: float, frequency_hz: float, damping: float, derivative: bool = False
 ) -> Array:
-    """Response of w^2 / (s^2 + 2 z w s + w^2), or of its time derivative, to x (N,)."""
+    """Return the response of w^2 / (s^2 + 2 z w s + w^2), or of its time derivative, to x (N,)."""
     w = 2.0 * math.pi * frequency_hz
     numerator = [0.0, w * w] if derivative else [w * w]
     b, a = bilinear(numerator, [w * w, 2.0 * damping * w, 1.0], rate)
@@ -82,8 +83,8 @@ def second_order(
 
 
 def butterworth(x: Array, rate: float, cutoff_hz: float) -> Array:
-    """Second-order Butterworth low-pass; the bilinear rule is prewarped so that the cut-off is
-    exact."""
+    """Apply a second-order Butterworth low-pass filter. The bilinear rule is prewarped, so the
+    cut-off frequency is exact."""
     nyquist_share = min(cutoff_hz / rate, 0.49)
     w = 2.0 * rate * math.tan(math.pi * nyquist_share)
     b, a = bilinear([w * w], [w * w, math.sqrt(2.0) * w, 1.0], rate)
@@ -91,15 +92,17 @@ def butterworth(x: Array, rate: float, cutoff_hz: float) -> Array:
 
 
 def first_order(x: Array, rate: float, time_constant_s: float) -> Array:
-    """First-order low-pass 1 / (1 + tau s)."""
+    """Apply a first-order low-pass filter 1 / (1 + tau s)."""
     b, a = bilinear([1.0], [1.0, time_constant_s], rate)
     return filtered(b, a, x)
 
 
 def gauss_markov(rng: np.random.Generator, n: int, step: float, length: float) -> Array:
-    """Unit-variance second-order Gauss-Markov process (n,), stationary from the first sample.
+    """Return a second-order Gauss-Markov process (n,) with variance 1, stationary from the first
+    sample.
 
-    Autocorrelation (1 + d/length) exp(-d/length): its slope is continuous, so its rate is finite.
+    The autocorrelation of the process is (1 + d/length) exp(-d/length). The slope of this
+    autocorrelation is continuous, so the rate of change of the process is finite.
     """
     if n <= 0:
         return np.zeros(0)
@@ -111,7 +114,7 @@ def gauss_markov(rng: np.random.Generator, n: int, step: float, length: float) -
 
 
 def smoothed(x: Array, rate: float, width_s: float) -> Array:
-    """Apply two running means of width_s each, with zero phase. The means keep the integral and
+    """Apply two running means of width_s each, without phase shift. The means keep the integral and
     limit the jerk."""
     n = max(1, round(width_s * rate)) | 1
     for _ in range(2):

@@ -1,8 +1,8 @@
 """Samples of the inertial sensor, with vibration, bandwidth, mount, errors and sampling.
 
-Processing chain of a three-axis sensor: motion in body axes + vibration -> low-pass -> sampled
-(with delay) -> turned into sensor axes -> scale and cross-axis -> bias (temperature, walk), noise
--> clipped -> quantised.
+Processing chain of a three-axis sensor: motion in body axes and vibration -> low-pass filter ->
+sampling (with delay) -> rotation into sensor axes -> scale and cross-axis error -> bias
+(temperature, walk) and noise -> clipping -> quantisation.
 """
 
 from __future__ import annotations
@@ -26,19 +26,21 @@ from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0
 VIBRATION_CORNER_HZ = 2.0
-"""Body vibration is white above this frequency [Hz] and decreases below it."""
+"""Frequency above which the body vibration is white [Hz]. Below this frequency, the vibration
+decreases."""
 IDLE_HZ = 26.0
-"""Frequency [Hz] of the second engine order of a four-cylinder engine idling at 780 1/min."""
+"""Frequency of the second engine order of a four-cylinder engine that idles at 780 1/min [Hz]."""
 GEAR_UPPER_MPS = (4.5, 8.5, 13.5, 19.0)
 GEAR_HZ_PER_MPS = (9.0, 5.5, 3.9, 2.9, 2.1)
 
 Mounts = Sequence[tuple[float, Matrix3]]
-"""Pairs of a start time [s] and R_vehicle_from_sensor from then on; in order of time, the first at
-0."""
+"""Pairs of a start time [s] and the R_vehicle_from_sensor that is valid from this time on. The
+pairs are in order of time, and the first time is 0."""
 
 
 def mounts(mount: Mount) -> list[tuple[float, Matrix3]]:
-    """Return the mount at the start and after each shift; shifts turn about vehicle axes."""
+    """Return the mount at the start and after each shift. A shift is a rotation about the vehicle
+    axes."""
 
     def rotation(part: object) -> Matrix3:
         angles = (float(getattr(part, f"{name}_deg")) for name in ("roll", "pitch", "yaw"))
@@ -53,7 +55,7 @@ def mounts(mount: Mount) -> list[tuple[float, Matrix3]]:
 
 
 def temperature_at(temperature: Temperature, t: Array) -> Array:
-    """Sensor temperature [degC]: first-order warm-up."""
+    """Return the sensor temperature [degC] at times t [s]: a first-order warm-up."""
     rise = -np.expm1(-t / temperature.time_constant_s)
     result: Array = temperature.start_degc + temperature.rise_k * rise
     return result
@@ -62,7 +64,8 @@ def temperature_at(temperature: Temperature, t: Array) -> Array:
 def accel_series(
     model: VehicleModel, mount: Mounts, body: BodyMotion, speed: Array, seed: int
 ) -> Series:
-    """Accelerometer samples of a moving body, at the model's `grid_hz`; speed: (N,) [m/s]."""
+    """Return accelerometer samples of a moving body. The body's motion and speed (N,) [m/s] are at
+    the model's `grid_hz`."""
     accel, rate = model.accel, model.grid_hz
     shaken = list(body.force)
     if accel.vibration:
@@ -81,8 +84,8 @@ def accel_series(
 def gyro_series(
     model: VehicleModel, mount: Mounts, body: BodyMotion, speed: Array, seed: int
 ) -> Series:
-    """Gyroscope samples of a moving body; its force is used for g-sensitivity. Else as
-    `accel_series`."""
+    """Return gyroscope samples of a moving body, like `accel_series`. The force of the body is used
+    for the g-sensitivity."""
     gyro, rate = model.gyro, model.grid_hz
     shaken = list(body.rate)
     if gyro.vibration and gyro.vibration_radps > 0.0:
@@ -108,7 +111,7 @@ def _sampled(
 
 
 def turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotate body-axes vectors (N, 3) into the sensor's axes at each time."""
+    """Return vectors (N, 3) in body axes rotated into the sensor's axes at each time."""
     result = np.empty_like(vectors)
     bounds = [0, *np.searchsorted(t, [start for start, _ in mount[1:]]).tolist(), len(t)]
     for (_, R_vehicle_from_sensor), first, stop in zip(mount, bounds, bounds[1:], strict=False):
@@ -117,7 +120,7 @@ def turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.
 
 
 def gain_matrix(triad: TriaxialSensor) -> NDArray[np.float64]:
-    """Gains and cross-axis terms of a sensor (3, 3), in its own axes."""
+    """Return the gains and cross-axis terms of a sensor (3, 3), in sensor axes."""
     xy, xz, yx, yz, zx, zy = triad.cross_axis
     sx, sy, sz = triad.scale
     return np.array([[1 + sx, xy, xz], [yx, 1 + sy, yz], [zx, zy, 1 + sz]])
@@ -149,7 +152,8 @@ def _finished(
 
 
 def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:
-    """Unit-rms noise, high-passed (first order) at the corner of structure-borne vibration."""
+    """Return noise with rms 1, high-pass filtered (first order) at the corner frequency of
+    structure-borne vibration."""
     c = math.exp(-2.0 * math.pi * VIBRATION_CORNER_HZ / rate)
     # For unit white noise, a first difference with the same pole has the variance 2 / (1 + c).
     gain = math.sqrt(0.5 * (1.0 + c))
@@ -157,7 +161,8 @@ def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:
 
 
 def _engine(speed: Array, rate: float, phase: float) -> Array:
-    """Sine of the second engine order: idle frequency at rest, by speed and gear in motion."""
+    """Return a sine of the second engine order. The frequency is the idle frequency at rest, and
+    depends on speed and gear in motion."""
     v = np.abs(speed)
     per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(GEAR_UPPER_MPS, v)]
     frequency = np.maximum(IDLE_HZ, per_mps * v)

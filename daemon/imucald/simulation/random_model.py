@@ -1,4 +1,4 @@
-"""Draw the random parameters of a drive: a different car, sensor, road and mount for every seed."""
+"""Draw the random parameters of a drive: a different car, sensor, road and mount for each seed."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from imucald.simulation.filters import generator
 
 MILLI_G = GRAVITY / 1000.0
 ACCEL_BIAS_MPS2 = 10.0 * MILLI_G
-"""rms of the accelerometer bias on each axis."""
+"""rms of the accelerometer bias on each axis [m/s^2]."""
 GYRO_BIAS_RADPS = math.radians(0.3)
 SPEED_SCALE = 0.01
 SLOPE_RMS = 0.02
-"""rms of grade and of cross fall, including the crown's mean."""
+"""rms of grade and cross fall (tangents), including the mean crown."""
 CROWN_MEAN, CROWN_SPREAD = 0.012, 0.006
 MAX_DELAY_S = 0.3
 MAX_TILT_DEG = 30.0
 UPSIDE_DOWN_SHARE = 0.1
 STYLE = (0.65, 1.05)
-"""Range of the factor on all accelerations, from gentle to lively drivers."""
+"""Range of the factor on all accelerations, from calm to sporty drivers."""
 
 
 def random_model(
@@ -36,9 +36,9 @@ def random_model(
     upside_down: bool | None = None,
     max_tilt_deg: float = MAX_TILT_DEG,
 ) -> VehicleModel:
-    """Return a model with all random parameters drawn from the seed.
+    """Return a model whose random parameters are all drawn from the seed.
 
-    standing_first, upside_down: forced by the caller, or None: drawn (in half and in one tenth of
+    standing_first, upside_down: given by the caller; None: drawn (True in half and in one tenth of
     the drives). cross_axis: rms of the accelerometer's cross-axis errors, 0.005 for half a percent.
     """
     rng = generator(seed, "random_model")

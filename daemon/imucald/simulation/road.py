@@ -1,4 +1,4 @@
-"""The road under the vehicle: slope, cross fall, and roughness, which excites the body."""
+"""The road under the vehicle: slope, cross fall, and the roughness that excites the body."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from imucald.model.vehicle import Chassis, DriveRoute, Road, Suspension
 from imucald.simulation.filters import bilinear, filtered, gauss_markov, generator, smoothed
 
 REFERENCE_WAVENUMBER = 0.1
-"""[cycles/m] of ISO 8608."""
+"""Reference wavenumber of ISO 8608 [cycles/m]."""
 MIN_SLOPE_M = 7.0
-"""Slope and cross fall are smoothed by two running means over this length."""
+"""Length of each of two running means that smooth slope and cross fall [m]."""
 MAX_ROUGHNESS_M = 100.0
-"""Waves longer than this belong to slope and cross fall."""
+"""Wavelength above which a wave belongs to slope and cross fall, not to roughness [m]."""
 MAX_TILT_WAVE_M = 20.0
-"""Longer waves than this lift both tracks equally."""
+"""Wavelength above which a wave lifts both tracks equally [m]."""
 SMOOTHER_FROM_MPS = 15.0
-"""Faster roads are smoother: the spectral density of roughness is divided by 1 + (v / this)^2, and
-the lengths of slopes are multiplied by the square root of that."""
+"""Speed in the effect that faster roads are smoother [m/s]. The spectral density of the roughness
+is divided by 1 + (v / SMOOTHER_FROM_MPS)^2. The lengths of slopes are multiplied by the square root
+of this divisor."""
 
 
 @dataclass(frozen=True)
 class RoadAttitude:
-    """Attitude of the road plane, (N,) each; ISO 8855: pitch positive nose down."""
+    """Attitude of the road plane, (N,) each, by ISO 8855: pitch positive nose down."""
 
     pitch: Array
     roll: Array
@@ -48,11 +49,11 @@ class Roughness:
 
 
 def slope_distance(speed: Array, rate: float) -> Array:
-    """Distance (N,) along which slopes are drawn [m]; it is shorter than the driven one on fast
-    roads.
+    """Return the distance (N,) along which slopes are drawn [m]. On fast roads, it is shorter than
+    the driven distance.
 
-    Slopes of fast roads are longer, so the vertical acceleration (v^2 times the change of slope)
-    stays within road design limits.
+    Slopes of fast roads are longer, so that the vertical acceleration (v^2 times the change of
+    slope) stays within the limits of road design.
     """
     step = np.abs(speed) / (rate * np.sqrt(1.0 + (speed / SMOOTHER_FROM_MPS) ** 2))
     passed: Array = np.cumsum(step)
@@ -62,9 +63,9 @@ def slope_distance(speed: Array, rate: float) -> Array:
 def road_attitude(
     road: Road, route: DriveRoute, seed: int, distance: Array, curve_accel: Array, rate: float
 ) -> RoadAttitude:
-    """Slope and cross fall along a distance [m], see `slope_distance`.
+    """Return slope and cross fall along a distance [m], see `slope_distance`.
 
-    curve_accel: (N,) speed^2 * curvature of superelevated road [m/s^2]; 0 elsewhere.
+    curve_accel: (N,) speed^2 * curvature of superelevated road [m/s^2]; 0 on other roads.
     """
     length = float(distance[-1])
     grade, fall = np.zeros(len(distance)), np.zeros(len(distance))
@@ -88,14 +89,15 @@ def road_attitude(
 
 
 def _waves(seed: int, name: str, n: int, length: float) -> Array:
-    """Random waves with rms 1, one value per metre. Waves shorter than a vehicle count as
-    roughness, not as slope."""
+    """Return random waves with rms 1, one value per metre. Waves shorter than a vehicle are left
+    out, because they belong to the roughness."""
     waves = gauss_markov(generator(seed, name), n, 1.0, length)
     return smoothed(waves, 1.0, MIN_SLOPE_M)
 
 
 def _spline(x: Array, nodes: Array, values: Array) -> Array:
-    """Cubic (Catmull-Rom) interpolation between nodes at unit distance; its slope is continuous."""
+    """Return the cubic (Catmull-Rom) interpolation between nodes at unit distance. The slope of the
+    interpolation is continuous."""
     i = np.clip(x.astype(np.int64), 0, len(nodes) - 2)
     u = x - i
     y0, y1 = values[np.maximum(i - 1, 0)], values[i]
@@ -116,11 +118,11 @@ def road_roughness(
     distance: Array,
     rate: float,
 ) -> Roughness | None:
-    """Excite the wheels with an ISO 8608 profile; None if the road is smooth.
+    """Return the excitation of the wheels by an ISO 8608 profile; None if the road is smooth.
 
-    The profile's slope is white in distance, so its vertical velocity has the one-sided density (2
-    pi n0)^2 G(n0) |v| [(m/s)^2/Hz]. Left and right tracks are independent; the rear wheels follow
-    the front ones at the distance of the wheelbase.
+    The slope of the profile is white noise over the distance, so its vertical velocity has the
+    one-sided density (2 pi n0)^2 G(n0) |v| [(m/s)^2/Hz]. Left and right tracks are independent. The
+    rear wheels follow the front wheels at the distance of the wheelbase.
     """
     if not road.roughness or road.roughness_n0 == 0.0 or distance[-1] <= 0.0:
         return None
@@ -145,18 +147,19 @@ def road_roughness(
 
 
 def _height(velocity: Array, rate: float, slowest: float) -> Array:
-    """Height of the road from its vertical velocity, without the long waves that belong to the
-    slope."""
+    """Return the height of the road from its vertical velocity, without the long waves that belong
+    to the slope."""
     b, a = bilinear([0.0, 1.0], [slowest**2, 1.4 * slowest, 1.0], rate)
     return filtered(b, a, velocity, settled=False)
 
 
 def _quarter_car(suspension: Suspension, height: Array, rate: float) -> Array:
-    """Body acceleration (N,) from road height [m]: two masses, a spring, a damper, a tyre.
+    """Return the body acceleration (N,) from the road height [m]: two masses, a spring, a damper, a
+    tyre.
 
-    With w = body frequency, z its damping, mu = unsprung over sprung mass, t = tyre stiffness over
-    unsprung mass (so that the wheel hops at its frequency):
-    Z_s/Z_r = t (2 z w s + w^2) / (D4 s^4 + D3 s^3 + D2 s^2 + D1 s + D0).
+    w is the body frequency, z its damping, mu the ratio of unsprung to sprung mass. t is the ratio
+    of tyre stiffness to unsprung mass, chosen for the given wheel-hop frequency.
+        Z_s/Z_r = t (2 z w s + w^2) / (D4 s^4 + D3 s^3 + D2 s^2 + D1 s + D0).
     """
     w = 2.0 * math.pi * suspension.heave_frequency_hz
     c, k = 2.0 * suspension.heave_damping * w, w * w

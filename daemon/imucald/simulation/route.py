@@ -19,29 +19,30 @@ from imucald.simulation.filters import generator
 FINE_STEP_M = 0.5
 COARSE_STEP_M = 1.0
 COARSE_FROM_MPS = 14.0
-"""Nodes are 0.5 m apart where targets are below this speed, else 1 m."""
+"""Speed below which nodes are 0.5 m apart [m/s]. Above it, nodes are 1 m apart."""
 LANE_WIDTH_M = 3.5
 MIN_STOP_S = 1.5
-"""With limited jerk, shorter stops would not reach zero speed."""
+"""Shortest duration of a stop [s]. In a shorter stop, the speed would not reach zero, because the
+jerk is limited."""
 
 
 @dataclass(frozen=True)
 class Path:
-    """Nodes of a path, all (N,). `step` is the distance to the next node [m]."""
+    """Nodes of a path, all (N,). `step`: distance to the next node [m]."""
 
     step: Array
     curvature: Array
-    """[1/m], positive to the left in the forward direction."""
+    """Curvature [1/m], positive to the left when driving forward."""
     target_mps: Array
     lateral_mps2: Array
     launch_mps2: Array
     braking_mps2: Array
     stop_s: Array
-    """Standing time at the node; 0 without a stop."""
+    """Standing time at the node [s]; 0 without a stop."""
     direction: Array
-    """+1 forward, -1 in reverse."""
+    """Direction of driving: +1 forward, -1 in reverse."""
     banked: Array
-    """1 on superelevated curves (outside cities), else 0."""
+    """1 on superelevated curves (outside cities), 0 on other roads."""
 
 
 class RouteBuilder:
@@ -64,7 +65,8 @@ class RouteBuilder:
         return float(self._rng.uniform(low, high))
 
     def effort(self, bounds: tuple[float, float]) -> float:
-        """Draw an acceleration: mostly gentle, rarely hard, as in logs of real drivers."""
+        """Draw an acceleration. Most values are small, few are large, as in logs of real
+        drivers."""
         return bounds[0] + (bounds[1] - bounds[0]) * float(self._rng.beta(1.1, 2.5))
 
     def chance(self, probability: float) -> bool:
@@ -84,7 +86,8 @@ class RouteBuilder:
         direction: float = 1.0,
         banked: bool = False,
     ) -> None:
-        """Add a piece of road; curvature is a function of the share (0..1) of its length."""
+        """Add a piece of road. curvature: function of the share (0 to 1) of the length of the
+        piece."""
         route = self._route
         speed *= route.speed_factor
         step = COARSE_STEP_M if speed >= COARSE_FROM_MPS else FINE_STEP_M
@@ -112,15 +115,16 @@ class RouteBuilder:
         return Path(*(np.concatenate(column) for column in self._columns))
 
     def stop_time(self) -> float:
-        """Draw the duration of a stop: log-normal, like waits at traffic lights."""
+        """Draw the duration of a stop. The duration is log-normal, as for waits at traffic
+        lights."""
         mean = self._route.stop_mean_s
         return float(np.clip(self._rng.lognormal(math.log(mean) - 0.32, 0.8), 2.0, 90.0))
 
     def bend(
         self, radius: float, angle: float, speed: float, side: float, banked: bool = False
     ) -> None:
-        """Add a bend of an angle [rad] with transition curves at its ends, driven at most at
-        `speed`."""
+        """Add a bend of an angle [rad] with transition curves at its ends. The bend is driven at
+        `speed` or slower."""
         ease = min(max(0.5 * radius * angle, 0.5 * speed), radius * angle)
         length = radius * angle + ease
 
@@ -137,7 +141,7 @@ class RouteBuilder:
         self.piece(length, speed, lambda share: height * np.sin(2.0 * np.pi * share))
 
     def straight(self, length: float, speed: float, banked: bool = False) -> None:
-        """Add a straight."""
+        """Add a straight road."""
         self.piece(length, speed, banked=banked)
 
     def stop(self, duration: float, speed: float = 8.0) -> None:
@@ -155,8 +159,8 @@ class RouteBuilder:
         self.bend(radius, angle, 9.0, 1.0 if left else -1.0)
 
     def roundabout(self) -> None:
-        """Add a roundabout: steer towards the kerb, around the island, and towards the kerb
-        again."""
+        """Add a roundabout: a turn towards the kerb, a turn around the island, and a turn towards
+        the kerb again."""
         near = self._near_side
         radius = self.uniform(11.0, 20.0)
         if self.chance(0.3):
@@ -167,7 +171,7 @@ class RouteBuilder:
         self.bend(self.uniform(12.0, 20.0), math.radians(self.uniform(30.0, 45.0)), 9.0, near)
 
     def reverse_manoeuvre(self) -> None:
-        """Add a manoeuvre in reverse in a bend, with a stop before and after."""
+        """Add a manoeuvre in reverse in a bend, with a stop before and after it."""
         self.stop(self.uniform(2.0, 5.0), 5.0)
         side, radius = self.side(), self.uniform(6.0, 12.0)
         length = self.uniform(5.0, 11.0)
@@ -181,7 +185,7 @@ class RouteBuilder:
         self.bend(self.uniform(7.0, 12.0), math.radians(self.uniform(30.0, 80.0)), 5.0, -side)
 
     def city_block(self) -> None:
-        """Add a city block and the event at its end."""
+        """Add a city block and the event at the end of the block."""
         speed = float(self._rng.choice([8.3, 13.9], p=[0.35, 0.65])) * self.uniform(0.88, 1.1)
         self.straight(self.uniform(70.0, 300.0), speed)
         if self.chance(0.30):
@@ -202,7 +206,7 @@ class RouteBuilder:
             self.reverse_manoeuvre()
 
     def country_road(self, length: float) -> None:
-        """Add a country road with bends; it ends at a roundabout, a junction or a stop."""
+        """Add a country road with bends. The road ends at a roundabout, a junction or a stop."""
         done = 0.0
         while done < length:
             speed = self.uniform(18.0, 27.0)

@@ -1,4 +1,5 @@
-"""Single-track vehicle with saturating tyres: gives yaw rate and sideslip from the steering angle.
+"""Single-track vehicle with saturating tyres: it gives yaw rate and sideslip from the steering
+angle.
 
 States: lateral velocity v_y of the centre of gravity and yaw rate r, in road axes.
 
@@ -8,9 +9,9 @@ States: lateral velocity v_y of the centre of gravity and yaw rate r, in road ax
     a_f = (delta v - v_y - l_f r) / |v|,          a_r = (-v_y + l_r r) / |v|
 
 (Rajamani, Vehicle Dynamics and Control, ch. 2; the tyre is a smooth curve with the slope C and the
-limit D.) A minute of driving is solved at once by second-order backward differences, Newton's
-method for the tyre, and one banded system per iteration. Therefore the stiff equations at low speed
-need no small steps.
+limit D.) A minute of driving is solved at once by second-order backward differences, with Newton's
+method for the tyre and one banded system per iteration. The stiff equations at low speed therefore
+need no small time steps.
 """
 
 from __future__ import annotations
@@ -27,13 +28,15 @@ from imucald.core.samples import GRAVITY
 from imucald.model.vehicle import Chassis
 
 LOW_SPEED_MPS = 0.2
-"""In the slip angles |v| is replaced by sqrt(v^2 + this^2), which avoids a division by zero."""
+"""Speed v0 that avoids a division by zero [m/s]: |v| in the slip angles is replaced by sqrt(v^2 +
+v0^2)."""
 BLOCK_S = 60.0
 LEAD_S = 6.0
-"""The drive is solved in blocks. Each block starts earlier, in a steady turn, whose effect decays
-within tenths of a second. Small blocks keep the system in the processor's cache."""
+"""Time by which each block of the solution starts earlier [s]. A block starts in a steady turn, and
+the effect of this start decays within tenths of a second. Small blocks keep the system of equations
+in the processor's cache."""
 LOST = 15.0
-"""If a vehicle slides sideways [m/s] or turns [rad/s] faster than this, it has left the road."""
+"""Sideways speed [m/s] or yaw rate [rad/s] above which a vehicle has left the road."""
 NEWTON_STEPS = 25
 NEWTON_TOLERANCE = 1e-9
 
@@ -43,7 +46,7 @@ class VehicleResponse:
     """Response of the vehicle, (N,) each."""
 
     yaw_rate: Array
-    """Yaw rate about the road's normal [rad/s]."""
+    """Yaw rate about the normal of the road [rad/s]."""
     lateral_velocity: Array
     """Lateral velocity of the centre of gravity, positive to the left [m/s]."""
     lateral_velocity_rate: Array
@@ -52,7 +55,7 @@ class VehicleResponse:
 
 
 def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> Array:
-    """Steering angle for a steady curvature: delta = L k + K (v^2 k + g bank)."""
+    """Return the steering angle for a steady curvature: delta = L k + K (v^2 k + g bank)."""
     # Drivers do not steer against a bank at standstill, so it counts only when the vehicle rolls.
     rolling = speed * speed / (speed * speed + 1.0)
     felt = speed * speed * curvature + GRAVITY * np.sin(bank) * rolling
@@ -62,8 +65,8 @@ def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> 
 def handle(
     chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float
 ) -> VehicleResponse:
-    """Response of the vehicle to speed, steer and bank, (N,) each at `rate` [Hz]; speed is signed
-    [m/s], angles in rad."""
+    """Return the response of the vehicle to speed, steer and bank, (N,) each at `rate` [Hz]. speed:
+    signed [m/s]. steer, bank: [rad]."""
     if not chassis.single_track:
         curvature = steer / chassis.wheelbase_m
         zero = np.zeros(len(speed))
@@ -89,7 +92,7 @@ def handle(
 
 
 def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float) -> Array:
-    """States (N, 2) of a segment that begins in a steady turn."""
+    """Return the states (N, 2) of a segment that begins in a steady turn."""
     state = np.zeros((len(speed), 2))
     state[:, 1] = _steady_yaw_rate(chassis, speed, steer)
     state[:, 0] = chassis.cg_to_rear_m * state[:, 1]
@@ -108,10 +111,10 @@ def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: flo
 
 
 def _stepped(chassis: Chassis, speed: Array, steer: Array, forcing: Array, rate: float) -> Array:
-    """Solve by linearly implicit Euler steps. They are of first order, but also work for a sliding
-    vehicle.
+    """Solve by linearly implicit Euler steps. The steps are of first order, and also work for a
+    sliding vehicle.
 
-    Used for segments in which Newton's method does not converge, as on ice.
+    The function is used for segments in which Newton's method does not converge, as on ice.
     """
     state = np.zeros((len(speed), 2))
     state[0, 1] = float(_steady_yaw_rate(chassis, speed[:1], steer[:1])[0])
@@ -129,7 +132,7 @@ def _steady_yaw_rate(chassis: Chassis, speed: Array, steer: Array) -> Array:
 
 
 def _tyre(stiffness: float, limit: float | None, slip: Array) -> tuple[Array, Array]:
-    """Return force and its derivative by slip angle."""
+    """Return the tyre force and its derivative with respect to the slip angle."""
     if limit is None:
         return stiffness * slip, np.full(len(slip), stiffness)
     root = 1.0 / np.sqrt(1.0 + (stiffness / limit * slip) ** 2)
@@ -139,7 +142,7 @@ def _tyre(stiffness: float, limit: float | None, slip: Array) -> tuple[Array, Ar
 def _dynamics(
     chassis: Chassis, v: Array, steer: Array, state: Array
 ) -> tuple[Array, NDArray[np.float64]]:
-    """Return state derivative (N, 2) without gravity, and its Jacobian (N, 2, 2)."""
+    """Return the derivative of the state (N, 2) without gravity, and its Jacobian (N, 2, 2)."""
     front, rear, m = chassis.cg_to_front_m, chassis.cg_to_rear_m, chassis.mass_kg
     weight = m * GRAVITY / chassis.wheelbase_m * chassis.friction
     limits = (weight * rear, weight * front) if chassis.tyre_saturation else (None, None)
@@ -163,7 +166,7 @@ def _dynamics(
 
 
 def _newton_step(state: Array, f: Array, jacobian: Array, rate: float) -> Array:
-    """Solve the linearised difference equations; node 0 is fixed to its steady state."""
+    """Solve the linearised difference equations. Node 0 is fixed to its steady state."""
     n = len(state)
     band = np.zeros((6, 2 * n))  # solve_banded with four lower and one upper diagonal
     residual = np.empty((n, 2))

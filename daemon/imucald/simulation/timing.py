@@ -1,4 +1,4 @@
-"""Times of frames: cycle, clock drift, latency, losses, drop-outs, stuck values."""
+"""Times of frames: cycle time, clock drift, latency, losses, drop-outs, stuck values."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ from imucald.model.sensors import Transmission
 from imucald.simulation.filters import generator
 
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
-"""Accelerometer and gyroscope are sampled by one unit, at the same moments."""
+"""Unit of each channel that shares its sampling times. One unit samples accelerometer and gyroscope
+at the same times."""
 SHARED_FRAME = dict.fromkeys(
     (row.channel for row in (YAW_RATE, LATERAL_ACCEL, LONGITUDINAL_ACCEL)), "dynamics"
 )
-"""The stability control sends all its sensors in one frame, so they share moments, latency and
-losses."""
+"""Frame of each channel that shares a frame. The stability control sends all its sensors in one
+frame, so they have the same times, latency and losses."""
 GYRO_AFTER_ACCEL_S = 0.00025
-"""The gyroscope's frame follows the accelerometer's frame by this time: one frame at 500 kbit/s."""
+"""Time by which the gyroscope's frame follows the accelerometer's frame [s]: one frame at 500
+kbit/s."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Moments of one message: (N,) each.
+    """Times of one message, (N,) each.
 
-    sampled: when the unit makes the frame [s]; stamp: when the frame is on the bus [s]. kept:
-    frames that are not lost. source: index of the sample whose value the frame carries; it is an
-    earlier sample while the signal is stuck.
+    sampled: time at which the unit makes the frame [s]. stamp: time at which the frame is on the
+    bus [s]. kept: True for frames that are not lost. source: index of the sample whose value is in
+    the frame; it is an earlier sample while the signal is stuck.
     """
 
     sampled: Array
@@ -39,7 +41,7 @@ class Timing:
 
 
 def frame_timing(message: Transmission, name: str, seed: int, duration_s: float) -> Timing:
-    """Draw the timing of a message over a drive."""
+    """Draw the times of a message over a drive."""
     frame = SHARED_FRAME.get(name, name)
     unit = SHARED_PHASE.get(name, frame)
     period = (1.0 + message.clock_drift_ppm * 1e-6) / message.rate_hz
@@ -65,8 +67,8 @@ def frame_timing(message: Transmission, name: str, seed: int, duration_s: float)
 
 
 def at_times(x: Array, rate: float, t: Array) -> Array:
-    """Value of a grid signal x (N,) at times t [s]: linear between grid points, constant
-    outside."""
+    """Return the value of a grid signal x (N,) at times t [s]: linear between grid points, constant
+    outside the grid."""
     place = np.clip(t * rate, 0.0, len(x) - 1.0)
     i = np.minimum(place.astype(np.int64), max(len(x) - 2, 0))
     u = place - i
@@ -75,5 +77,5 @@ def at_times(x: Array, rate: float, t: Array) -> Array:
 
 
 def quantised(x: Array, lsb: float) -> Array:
-    """Round to whole steps; with lsb 0, x is unchanged."""
+    """Round to whole steps. With an lsb of 0, x is unchanged."""
     return x if lsb == 0.0 else np.rint(x / lsb) * lsb

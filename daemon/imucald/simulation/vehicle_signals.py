@@ -34,11 +34,11 @@ from imucald.simulation.single_track import VehicleResponse
 from imucald.simulation.timing import at_times, frame_timing, quantised
 
 SLIP_CYCLES_HZ = (5.0, 6.1, 4.3, 7.2)
-"""Frequencies [Hz] of the brake control cycles of each wheel."""
+"""Frequencies of the brake control cycles, one for each wheel [Hz]."""
 
 
 class VehicleSignals:
-    """Makes each signal of the vehicle from its motion."""
+    """Makes each signal of the vehicle from the vehicle's motion."""
 
     def __init__(
         self,
@@ -76,15 +76,15 @@ class VehicleSignals:
         }
 
     def heading(self, heading: Array) -> Series:
-        """Heading signal from the true heading, which is clockwise from north [rad] and not
-        wrapped."""
+        """Return the heading signal from the true heading, which is clockwise from north [rad] and
+        not wrapped."""
         series = self._scalar(HEADING, heading)
         return Series(series.t, np.mod(series.values, 2.0 * np.pi))
 
     def magnetometer(
         self, heading: Array, road: RoadAttitude, body_attitude: BodyAttitude, mount: Mounts
     ) -> Series:
-        """Magnetometer samples in sensor axes."""
+        """Return the magnetometer samples in sensor axes."""
         mag = self._model.mag
         x = mag.field_horizontal_t * np.cos(heading)
         y = mag.field_horizontal_t * np.sin(heading)
@@ -102,7 +102,8 @@ class VehicleSignals:
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
 
     def _sample(self, name: str, message: Transmission, *columns: Array) -> tuple[Array, ...]:
-        """Return stamps and the sampled columns (before loss and sticking are applied)."""
+        """Return the time stamps and the sampled columns. Lost frames are left out, and stuck
+        values are repeated."""
         timing = frame_timing(message, name, self._seed, self._duration)
         when = timing.sampled - message.delay_s
         if isinstance(message, Speed):
@@ -114,7 +115,8 @@ class VehicleSignals:
         )
 
     def _sent(self, name: str, message: Transmission) -> NDArray[np.int64] | slice:
-        """Rows whose values the frames carry; the same row repeats while the signal is stuck."""
+        """Return the indices of the rows whose values are in the frames. The same index repeats
+        while the signal is stuck."""
         if not message.stuck:
             return slice(None)
         timing = frame_timing(message, name, self._seed, self._duration)
@@ -160,7 +162,7 @@ class VehicleSignals:
         return Series(t, values[self._sent("wheel_speeds", wheels)])
 
     def _grip(self) -> list[Array | float]:
-        """Factor on each wheel's speed: 1, smaller in segments with wheel slip."""
+        """Return the factor on each wheel's speed: 1, and less in segments with wheel slip."""
         wheels, t = self._model.wheel_speeds, self._driving.t
         if not wheels.slip_events:
             return [1.0] * 4
@@ -198,7 +200,7 @@ class VehicleSignals:
 def _rolling(
     v: Array, scale: float | Array, dead_band: float, lsb: float, noise: Array
 ) -> NDArray[np.float64]:
-    """Make a speed signal: apply scale, noise while rolling, dead band and rounding; never
-    negative."""
+    """Make a speed signal: apply scale error, noise while rolling, dead band and rounding. The
+    result is never negative."""
     shown = np.maximum(v * (1.0 + scale) + noise, 0.0)
     return quantised(np.where(v * (1.0 + scale) < max(dead_band, 1e-3), 0.0, shown), lsb)

@@ -1,1 +1,2 @@
-"""Direction of travel of a carried terminal (method D), and an alternative to it."""
+"""Direction of travel of a terminal that a person carries: the published method D, and an
+alternative."""

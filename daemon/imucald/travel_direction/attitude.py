@@ -1,6 +1,6 @@
-"""Attitude of a carried terminal: rotation from terminal axes to earth axes, sample by sample.
+"""Attitude of a carried terminal: the rotation from terminal axes to earth axes, sample by sample.
 
-The gyroscope gives the attitude and the accelerometer levels it slowly (a complementary filter as
+The gyroscope gives the attitude, and the accelerometer levels it slowly (a complementary filter as
 in Mahony, Hamel and Pflimlin, IEEE Trans. Automatic Control 53, 2008). North comes from
 `NorthFilter` or from a compass signal.
 """
@@ -31,41 +31,41 @@ from imucald.travel_direction.north import NorthFilter
 
 TWO_PI = 2.0 * math.pi
 GAP_S = 0.5
-"""Samples further apart than this are not a steady stream [s]."""
+"""Time between samples above which they are not a steady stream [s]."""
 REST_S = 1.0
 
 
 class TerminalAttitude:
-    """Level frame P from terminal axes, and the direction of north in it."""
+    """Rotation from terminal axes to the level frame P, and the direction of north in P."""
 
     def __init__(self, settings: AlternativeSettings) -> None:
         self.settings = settings
         self.north = NorthFilter()
         self.zero_error: Vector = (0.0, 0.0, 0.0)
-        """Zero error of the gyroscope, from rests [rad/s]."""
+        """Zero error of the gyroscope, measured at rest [rad/s]."""
         self._lost_time = LostTime()
         self.restart()
 
     def restart(self) -> None:
         """Begin again, because time has jumped."""
         self.q: Quaternion = IDENTITY
-        """Terminal to P."""
+        """Rotation from the terminal to P."""
         self.level: Rows = rows_from_quaternion(IDENTITY)
         self.turned = 0.0
-        """Total turn about the vertical by the gyroscope, clockwise seen from above [rad]."""
+        """Total turn about the vertical from the gyroscope, clockwise seen from above [rad]."""
         self.ready = False
         self.north.restart()
         self._signal_yaw: float | None = None
         self._t_gyro = self._t_accel = self._t_signal = -math.inf
         self.rate: Vector = (0.0, 0.0, 0.0)
-        """Newest angular rate minus the zero error, terminal axes [rad/s]."""
+        """Newest angular rate minus the zero error, in terminal axes [rad/s]."""
         self._age = self._signal_age = 0.0
         self._rest_begin()
 
     def gyro(self, t: float, raw: Vector) -> None:
         """Take an angular rate [rad/s].
 
-        P restarts after a time in which the terminal's turn was not measured.
+        The frame P restarts after a time in which the rotation of the terminal was not measured.
         """
         dt = t - self._t_gyro
         is_lost = 0.0 <= dt < math.inf and self._lost_time.take_time_step(dt) > 0.0
@@ -84,7 +84,7 @@ class TerminalAttitude:
         self._t_gyro, self.rate = t, rate
 
     def accel(self, t: float, force: Vector) -> None:
-        """Level by a specific force [m/s^2]."""
+        """Take a specific force [m/s^2], which levels the attitude."""
         size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         dt = min(t - self._t_accel, GAP_S)
         self._t_accel = t
@@ -126,7 +126,7 @@ class TerminalAttitude:
 
     @property
     def yaw(self) -> float | None:
-        """Rotation about the vertical from P to the earth [rad]; None: north is not known."""
+        """Rotation about the vertical from P to the earth [rad]; None if north is not known."""
         return self._signal_yaw if self._signal_yaw is not None else self.north.yaw
 
     @property
@@ -146,7 +146,7 @@ class TerminalAttitude:
         self._n = 0
 
     def _rest(self, t: float, raw: Vector) -> None:
-        """Use the mean of a second without any turn as the gyroscope's zero error."""
+        """Use the mean rate over a second without any turn as the gyroscope's zero error."""
         if math.isnan(self._rest_start):
             self._rest_start = t
         self._n += 1

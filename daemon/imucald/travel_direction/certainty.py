@@ -1,18 +1,19 @@
-"""Certainty of a direction of travel: deviation of the axis, probability of its sign.
+"""Certainty of a direction of travel: deviation of the axis, and probability of the sign.
 
-The deviation of the axis has three parts. The first is the spread of the steps' axes about their
-mean (doubled angles; circular statistics as in Mardia and Jupp, "Directional Statistics", 2000);
-four steps share the same disturbance. The second is the deviation of north. The third is a person's
-way against the axis of the steps: 5 deg (Kunze and others, "Which way am I facing", ISWC 2009,
-trouser pockets).
+The deviation of the direction has three parts. The first part is the spread of the steps' axes
+about their mean (doubled angles; circular statistics as in Mardia and Jupp, "Directional
+Statistics", 2000). Four successive steps have the same disturbance. The second part is the
+deviation of north. The third part is the angle between a person's way and the axis of the steps: 5
+deg (Kunze and others, "Which way am I facing", ISWC 2009, trouser pockets).
 
-For the sign, the forward acceleration leads the vertical acceleration at the step's frequency. The
-lead is a quarter period in the trunk and 120 to 150 deg in a hand, so 120 +- 30 deg is assumed.
-Phases about that lead have a von Mises distribution. The likelihood ratio of the two senses is then
-exp(2 kappa c), with c the agreement of the steps' phases with the lead. The step does not push a
-swinging arm, so its phase shows less with a stronger swing. A person who looks at a terminal mostly
-holds its upper edge ahead (the premise of the published method, [0066]): in nine of ten cases. All
-these errors are systematic, so more steps do not reduce them.
+The sign follows from a phase: the forward acceleration leads the vertical acceleration at the step
+frequency. The lead is a quarter period at the trunk and 120 to 150 deg in a hand, so 120 +- 30 deg
+is assumed. Phases about this lead have a von Mises distribution. The likelihood ratio of the two
+signs is then exp(2 kappa c), with c the agreement between the phases of the steps and the lead. A
+swinging arm is not pushed by the step, so a stronger swing makes the phase less informative. A
+person who looks at a terminal mostly holds its upper edge ahead (the premise of the published
+method, [0066]): in nine of ten cases. All these errors are systematic, so more steps do not reduce
+them.
 """
 
 from __future__ import annotations
@@ -20,30 +21,32 @@ from __future__ import annotations
 import math
 
 LEAD_STD = math.radians(30.0)
-"""Spread of the lead over carriers and places [rad]."""
+"""Spread of the lead over persons and carrying positions [rad]."""
 KAPPA = 1.0 / LEAD_STD**2
 ARM_SWING = 1.0
 """Mean square of the angular rate of a swinging arm [(rad/s)^2].
 
-A leg has 0.6, and a hand that holds the terminal before the eyes has less than 0.1.
+The value of a leg is 0.6. The value of a hand that holds the terminal before the eyes is below 0.1.
 """
 LOOKED_AT_ODDS = 9.0
-"""Odds that a person who looks at a terminal holds the upper edge ahead rather than behind."""
+"""Odds that a person who looks at a terminal holds its upper edge ahead rather than behind."""
 LOOKED_AT = 0.5
-"""Cosine of the screen's lean up to which a person looks at it."""
+"""Smallest cosine of the screen's lean at which a person looks at the screen."""
 AHEAD_KNOWN = 0.95
-"""Probability of the sign below which a direction is called ambiguous."""
+"""Probability of the sign below which a direction is ambiguous."""
 SHARED_STEPS = 4.0
-"""Number of steps that share one disturbance: two strides."""
+"""Number of successive steps with the same disturbance: two strides."""
 WAY_STD = math.radians(5.0)
-"""Deviation of the way against the axis of the steps [rad]."""
+"""Deviation of a person's way from the axis of the steps [rad]."""
 COMPASS_STD = math.radians(10.0)
-"""Deviation of a heading signal [rad], the same as for a magnetometer in `attitude.filter`."""
+"""Deviation of a heading signal [rad]. The value is the same as for a magnetometer in
+`attitude.filter`."""
 MAX_STD = math.pi / 2.0
 MIN_HORIZONTAL = 0.1
-"""Smallest horizontal part of the y axis for which it has a heading.
+"""Smallest horizontal part of the y axis at which the y axis has a heading.
 
-Below it the axis is within 6 deg of the vertical, where 1 deg of lean turns its heading by 10 deg.
+With a smaller part, the axis is within 6 deg of the vertical. A lean of 1 deg then turns its
+heading by 10 deg.
 """
 MIN_AGREEMENT = 1e-6
 
@@ -51,24 +54,25 @@ MIN_AGREEMENT = 1e-6
 def axis_std(agreement: float, steps: float) -> float:
     """Return the deviation of a mean axis [rad].
 
-    agreement: resultant of the doubled angles, 0 to 1; steps: their effective number.
+    agreement: resultant of the doubled angles, 0 to 1. steps: effective number of steps.
     """
     one = -0.5 * math.log(min(max(agreement, MIN_AGREEMENT), 1.0))  # of one step, squared
     return min(math.sqrt(one * min(SHARED_STEPS / steps, 1.0)), MAX_STD)
 
 
 def sign_log_odds(agreement: float, swing: float) -> float:
-    """Return the log odds of the sense that the phases favour.
+    """Return the log odds of the sign that the phases favour.
 
-    agreement: c, -1 to 1; swing: mean square of the angular rate about level axes [(rad/s)^2].
+    agreement: c, -1 to 1. swing: mean square of the angular rate about the level axes [(rad/s)^2].
     """
     return 2.0 * KAPPA * agreement / (1.0 + (swing / ARM_SWING) ** 2)
 
 
 def edge_log_odds(along: float, screen_up: float, swing: float) -> float:
-    """Return the log odds of a sense from the upper edge.
+    """Return the log odds of a direction, from the upper edge of the terminal.
 
-    along: cosine between sense and edge; screen_up: cosine of the screen's lean.
+    along: cosine of the angle between direction and upper edge. screen_up: cosine of the screen's
+    lean. swing: mean square of the angular rate about the level axes [(rad/s)^2].
     """
     if screen_up < LOOKED_AT:
         return 0.0
@@ -76,10 +80,10 @@ def edge_log_odds(along: float, screen_up: float, swing: float) -> float:
 
 
 def probability(log_odds: float) -> float:
-    """Return the probability of the sense with these log odds."""
+    """Return the probability for these log odds."""
     return 1.0 / (1.0 + math.exp(-min(max(log_odds, -50.0), 50.0)))
 
 
 def whole_std(axis: float, north: float) -> float:
-    """Return the deviation of a direction [rad] from the deviations of axis and north."""
+    """Return the deviation of a direction [rad] from the deviations of the axis and of north."""
     return min(math.sqrt(axis * axis + north * north + WAY_STD**2), MAX_STD)

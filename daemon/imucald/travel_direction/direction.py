@@ -1,10 +1,10 @@
 """Travel direction of a carried terminal: its samples in, one direction per step out.
 
-No I/O, no clock. The published method needs an accelerometer and a compass (magnetometer, or any
-heading signal of the terminal's y axis). The alternative also needs a gyroscope. Samples come one
-by one, in terminal axes, SI units, stream time. The sign of the accelerometer on an axis that
-points up, and the counting direction of a heading signal, depend on the terminal (`convention`,
-`compass`). This module converts both.
+The module does no I/O and reads no clock. The published method needs an accelerometer and a compass
+(magnetometer, or any heading signal of the terminal's y axis). The alternative also needs a
+gyroscope. Samples come one by one, in terminal axes and SI units, with stream time. The sign of the
+accelerometer on an axis that points up depends on the terminal (`convention`). The counting
+direction of a heading signal also depends on the terminal (`compass`). This module converts both.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from imucald.travel_direction.step_cycles import StepCycle, StepCycles
 
 TWO_PI = 2.0 * math.pi
 STALE_S = 2.0
-"""Time without a step after which nobody walks [s]."""
+"""Time without a step after which the state is STANDING [s]."""
 COMPASS_STALE_S = 1.0
-"""A compass value older than this is not used [s]."""
+"""Largest age of a compass value that is used [s]."""
 MAX_FIELDS = 4096
-"""Largest number of magnetic fields that are stored: those of one cycle at any sensor rate."""
+"""Largest number of stored magnetic fields: the fields of one cycle at any sensor rate."""
 
 
 class TravelState(enum.IntEnum):
-    """State of the direction; the numbers are those on the bus."""
+    """State of the direction. The numbers are also sent on the bus."""
 
     NOT_AVAILABLE = 0
     STANDING = 1
@@ -60,11 +60,11 @@ class TravelState(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Step:
-    """One step cycle and its headings [rad, clockwise from north]; None: not known.
+    """One step cycle and its headings [rad, clockwise from north]; None if not known.
 
-    heading: by the configured method. compass: heading of the terminal's y axis, None if that is
-    vertical. deviation: standard deviation of the alternative [rad]; ahead: probability that the
-    alternative is not 180 deg wrong.
+    heading: heading of the configured method. compass: heading of the terminal's y axis; None if
+    this axis is vertical. deviation: standard deviation of the alternative [rad]. ahead:
+    probability that the alternative is not wrong by 180 deg.
     """
 
     t: float
@@ -78,11 +78,11 @@ class Step:
     deviation: float | None = None
     ahead: float | None = None
     ambiguous: bool = False
-    """True if the heading comes from the alternative and may be 180 deg wrong."""
+    """True if the heading comes from the alternative and may be wrong by 180 deg."""
 
 
 class TravelDirection:
-    """Method D and the alternative for one terminal."""
+    """Method D and the alternative method for one terminal."""
 
     def __init__(self, settings: TravelDirectionSettings | None = None) -> None:
         self.settings = settings or TravelDirectionSettings()
@@ -94,18 +94,19 @@ class TravelDirection:
         self._upwards = -1.0 if s.convention == "gravity" else 1.0
         self._clockwise = -1.0 if s.compass == "counter_clockwise" else 1.0
         self.last: Step | None = None
-        """The newest step."""
+        """The newest step, or None."""
         self.rejected = 0
-        """Number of samples that were left out because their values are impossible."""
+        """Number of samples that were left out because of impossible values."""
         self.gap()
 
     @property
     def steps(self) -> int:
-        """Number of full step cycles so far."""
+        """Number of complete step cycles so far."""
         return self.cycles.steps
 
     def gap(self) -> None:
-        """Note a jump of time: no value from before may be differenced with a later one."""
+        """Note a jump of time: no difference is taken between values before the jump and values
+        after it."""
         self.cycles.restart()
         self.published.restart()
         self.alternative.restart()
@@ -118,9 +119,10 @@ class TravelDirection:
         self.last = None
 
     def sample(self, t: float, channel: str, values: Sequence[float]) -> Step | None:
-        """Take a sample of a channel (see `samples`); return the step that it completes, if any.
+        """Take a sample of a channel (see `samples`). Returns the step that this sample completes,
+        or None.
 
-        Impossible values are left out and counted.
+        Samples with impossible values are left out and counted.
         """
         if not is_plausible(channel, values):
             self.rejected += 1
@@ -149,13 +151,13 @@ class TravelDirection:
         self.attitude.mag(t, field)
 
     def heading(self, t: float, heading: float) -> None:
-        """Take a compass reading of the terminal's y axis, from north [rad]."""
+        """Take a compass reading of the terminal's y axis [rad], from north."""
         heading = self._clockwise * heading
         self._heading = (t, heading)
         self.attitude.compass(t, heading)
 
     def accel(self, t: float, values: Sequence[float]) -> Step | None:
-        """Take a specific force [m/s^2]; return the step that it completes, if any."""
+        """Take a specific force [m/s^2]. Returns the step that this sample completes, or None."""
         s = self._upwards
         force = (s * values[0], s * values[1], s * values[2])
         self._heard = t
@@ -170,7 +172,7 @@ class TravelDirection:
         return self.last
 
     def state(self, now: float) -> TravelState:
-        """Return the state at stream time now [s]."""
+        """Return the state at stream time `now` [s]."""
         if now - self._heard > COMPASS_STALE_S:
             return TravelState.NOT_AVAILABLE
         last = self.last
@@ -230,10 +232,10 @@ class TravelDirection:
         return (angle - yaw + declination) % TWO_PI
 
     def _level_heading(self, cycle: StepCycle) -> float | None:
-        """Return the heading of the cycle's level frame, clockwise from north.
+        """Return the heading of the cycle's level frame, clockwise from north [rad].
 
-        The heading comes from the mean field in that frame, otherwise from the newest heading of
-        the terminal's y axis.
+        The heading comes from the mean magnetic field in this frame. Without a magnetic field, it
+        comes from the newest heading of the terminal's y axis.
         """
         mean = cycle.accel.mean(axis=0)
         field = self._mean_field(cycle)
@@ -247,7 +249,8 @@ class TravelDirection:
         return (heading - to_y) % TWO_PI if cycle.t1 - t <= COMPASS_STALE_S else None
 
     def _mean_field(self, cycle: StepCycle) -> NDArray[np.float64] | None:
-        """Return the mean field of the cycle (3,) [T]; for a slower sensor, the newest field."""
+        """Return the mean magnetic field of the cycle (3,) [T]. If the cycle contains no field,
+        return the newest field, or None if it is too old."""
         inside = [field for t, field in self._fields if cycle.t0 <= t < cycle.t1]
         if not inside:
             newest = [field for t, field in self._fields if 0.0 <= cycle.t1 - t <= COMPASS_STALE_S]

@@ -1,10 +1,10 @@
 """The alternative to the published method: attitude by gyroscope, axis by power, sign by phase.
 
-In a level frame, the step's forward acceleration oscillates at the step's frequency, and the
-sideways sway at half of it. At its own frequency, each cycle therefore gives an axis by power, and
-a sign by its phase against the vertical. Both are averaged over some steps in a frame that turns
-with the terminal. A person who turns takes the terminal along, and rarely changes the way of
-carrying it.
+In a level frame, the forward acceleration of a step oscillates at the step frequency. The sideways
+sway oscillates at half of this frequency. The acceleration at the step frequency therefore gives an
+axis by its power, and a sign by its phase relative to the vertical acceleration. Axis and sign are
+averaged over some steps in a frame that turns with the terminal. A person who turns keeps the
+terminal in the same position on the body, and rarely changes this position.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from imucald.travel_direction.step_cycles import POINTS, StepCycle
 ComplexArray = NDArray[np.complex128]
 
 SWING_POWER = 0.5
-"""Mean square of the angular rate from which a terminal swings [(rad/s)^2]: a leg has 0.7."""
+"""Mean square of the angular rate at which a terminal counts as swinging [(rad/s)^2]. The value of
+a leg is 0.7."""
 TWO_PI = 2.0 * math.pi
 
 
 class GyroStepAxis:
     """Direction of travel from step cycles in the level frame.
 
-    Angles are clockwise from its y axis.
+    Angles are clockwise from the y axis of the level frame.
     """
 
     def __init__(self, settings: AlternativeSettings) -> None:
@@ -50,9 +51,10 @@ class GyroStepAxis:
         self._before: tuple[float, ComplexArray] | None = None
 
     def take_cycle(self, cycle: StepCycle, turned: float, up_in_terminal: Vector) -> float | None:
-        """Return the direction after this cycle [0, 2 pi); None: not known.
+        """Return the direction after this cycle [0, 2 pi); None if not known.
 
-        turned: total turn about the vertical, clockwise [rad]; up_in_terminal: (3,).
+        turned: total turn about the vertical, clockwise [rad]. up_in_terminal: (3,) unit vector up
+        in terminal axes.
         """
         self._carried(up_in_terminal)
         change = 0.0 if math.isnan(self._turned) else turned - self._turned
@@ -88,11 +90,11 @@ class GyroStepAxis:
         return angle % TWO_PI
 
     def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
-        """Return amplitudes at the step's frequency, in x, y, up.
+        """Return the amplitudes at the step frequency, in x, y, up.
 
-        They are the mean of this step and the previous step. Sway at half the frequency leaks into
-        both with opposite signs, because one is the left foot's step and the other the right
-        foot's.
+        The amplitudes are the mean of this step and the previous step. Sway at half of the
+        frequency leaks into both steps with opposite signs, because one step is with the left foot
+        and the other with the right foot. The mean removes the sway.
         """
         first = np.fft.fft(cycle.level, axis=0)[1] / POINTS
         before, self._before = self._before, (cycle.t1, first)
@@ -103,10 +105,11 @@ class GyroStepAxis:
 
     @staticmethod
     def _pendulum(cycle: StepCycle) -> tuple[float, complex]:
-        """Return the power of rotations about horizontal axes, and the same with their doubled
-        angle.
+        """Return the power of rotations about horizontal axes, and this power with the doubled
+        angle of the rotation axis.
 
-        It counts from the swing of a leg or an arm on; a terminal held still only trembles.
+        Both results are large for a terminal that swings with a leg or an arm, and small for a
+        terminal that is held still.
         """
         x, y = cycle.turning[:, 0], cycle.turning[:, 1]
         xx, yy, xy = (float(np.mean(c)) for c in (x * x, y * y, x * y))
@@ -116,19 +119,19 @@ class GyroStepAxis:
 
     @property
     def trust(self) -> float:
-        """Agreement of the steps, 0 to 1."""
+        """Agreement of the steps' axes, 0 to 1."""
         return min(abs(self._axis) / self._power, 1.0) if self._power > 0.0 else 0.0
 
     @property
     def std(self) -> float:
-        """Deviation of the axis within the terminal's level frame [rad]."""
+        """Deviation of the axis in the terminal's level frame [rad]."""
         if self._weight <= 0.0:
             return MAX_STD
         return axis_std(self.trust, self._weight * self._weight / self._square_weight)
 
     @property
     def phase_agreement(self) -> float:
-        """Agreement of the steps' phases with the chosen sense, 0 to 1."""
+        """Agreement of the steps' phases with the chosen sign, 0 to 1."""
         if self._forward <= 0.0:
             return 0.0
         off = cmath.phase(self._sign) - 0.5 * cmath.phase(self._axis)
@@ -136,7 +139,7 @@ class GyroStepAxis:
 
     @property
     def swing(self) -> float:
-        """Mean square of the angular rate about level axes over the last steps [(rad/s)^2]."""
+        """Mean square of the angular rate about the level axes over the last steps [(rad/s)^2]."""
         return self._swing_power / self._weight if self._weight > 0.0 else 0.0
 
     def _carried(self, up: Vector) -> None:

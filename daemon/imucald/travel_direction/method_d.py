@@ -1,18 +1,18 @@
 """Method D exactly as published (CN103543289A); angles in radians.
 
 Terminal axes: x to the right, y to the upper edge, z out of the screen. The compass is the
-clockwise angle from north to the horizontal projection of the y axis ([0003]); the tilt angle
-counts from there. Formulas (3) to (5) project to the level frame; the correlation angle counts from
-*its* y axis ([0127], [0139]). Parts that the publication lacks are marked as *reconstructed*.
+clockwise angle from north to the horizontal projection of the y axis ([0003]). The tilt angle
+begins at this projection. Formulas (3) to (5) project to the level frame. The correlation angle
+begins at the y axis of *the level frame* ([0127], [0139]). Parts that the publication lacks are
+marked as *reconstructed*.
 
-The text prints two pairs of formulas for terminals with different axes. [0070], [0079]:
+The publication has two pairs of formulas for terminals with different axes. [0070], [0079]:
 (atan2(roll, pitch) + 180) % 360 is the clockwise angle from the y axis to the raised edge, and
 angle + compass is clockwise from north. [0072], [0081]: (atan2(pitch, roll) + 180) % 360 is the
 counter-clockwise angle from the x axis, and angle - compass is counter-clockwise from east. Both
-pairs fit an accelerometer that reads -g on the axis that points up. Tests show that both give the
-same direction, so one pair is enough here. The samples are converted on input for the
-accelerometer's sign upwards and for the counting direction of the compass:
-`travel_direction.convention`, `.compass`.
+pairs fit an accelerometer whose output is -g on the axis that points up. Tests show that both pairs
+give the same direction, so this module uses one pair. Samples of terminals with another sign or
+another counting direction are converted on input: `travel_direction.convention`, `.compass`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def tilt(mean: Array) -> tuple[float, float]:
 def tilt_angle(pitch: float, roll: float) -> float:
     """Return the clockwise angle from the y axis to the raised edge, by [0070] [0, 2 pi).
 
-    pitch, roll: from an accelerometer that reads -g on the axis that points up.
+    pitch, roll: from an accelerometer whose output is -g on the axis that points up.
     """
     return (math.atan2(roll, pitch) + math.pi) % TWO_PI
 
@@ -50,18 +50,18 @@ def tilt_heading(pitch: float, roll: float, compass: float) -> float:
 
 
 def levelling_angles(mean: Array) -> tuple[float, float]:
-    """Return a and b of the projection that turns the mean (3,) to +z (*reconstructed*).
+    """Return a and b of the projection that rotates the mean (3,) to +z (*reconstructed*).
 
-    [0093] calls them the angles of the y and the x axis. With those angles the projection does not
-    level (28 deg off at a lean of 20). The angles returned here level it: b makes (4) zero, then a
-    makes (3) zero.
+    [0093] calls them the angles of the y axis and the x axis. With those angles, the projection
+    does not level: the error is 28 deg at a lean of 20 deg. With the angles of this function it
+    does: b makes (4) zero, then a makes (3) zero.
     """
     x, y, z = (float(c) for c in mean)
     return math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)
 
 
 def projected(vectors: Array, a: float, b: float) -> Array:
-    """Return the publication's projection to the horizontal plane; (..., 3) -> (..., 3)."""
+    """Return the publication's projection of vectors (..., 3) to the horizontal plane."""
     X, Y, Z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
     ax = X * ca + Y * sa * sb + Z * cb * sa
@@ -83,7 +83,7 @@ def y_angle(mean: Array) -> float | None:
 def level_heading(field: Array, mean: Array) -> float | None:
     """Return the clockwise angle from magnetic north to the level frame's y axis [0, 2 pi).
 
-    field, mean: magnetic field and acceleration (3,). Returns None if the field is vertical.
+    field: magnetic field (3,). mean: acceleration (3,). Returns None if the field is vertical.
     """
     x, y, _ = projected(field, *levelling_angles(mean))
     return math.atan2(-float(x), float(y)) % TWO_PI if x != 0.0 or y != 0.0 else None
@@ -93,10 +93,10 @@ def correlation_angle(accel: Array) -> float | None:
     """Return the acceleration-correlation angle (method D, step 4), clockwise from the level
     frame's y axis.
 
-    Range: [0, 2 pi). accel: (POINTS, 3) over one cycle, reading +g upwards. R_hz(tau) = sum h(t)
-    z(t + tau), over the cycle as if it repeated. The difference R(+tau) - R(-tau) (*reconstructed*)
-    is positive for the direction of travel: the body is braked after its lowest point, where z is
-    largest. Returns None if no lag shows a direction.
+    The range is [0, 2 pi). accel: (POINTS, 3) over one cycle, +g for an axis that points up.
+    R_hz(tau) = sum h(t) z(t + tau) is the circular correlation over the cycle. The difference
+    R(+tau) - R(-tau) (*reconstructed*) is positive for the direction of travel: the body is braked
+    after its lowest point, where z is largest. Returns None if no lag shows a direction.
     """
     waves = projected(accel, *levelling_angles(accel.mean(axis=0)))
     waves = waves - waves.mean(axis=0)
@@ -116,8 +116,8 @@ def correlation_angle(accel: Array) -> float | None:
 
 
 class PublishedResult(NamedTuple):
-    """Headings of one cycle [rad, clockwise from north], the choice between the two, and whether
-    there was a turn.
+    """Headings of one cycle [rad, clockwise from north], which heading was chosen, and whether the
+    cycle was a turn.
 
     compass and tilt_heading are None if the terminal's y axis is vertical.
     """
@@ -133,7 +133,7 @@ class PublishedResult(NamedTuple):
 
 
 class PublishedDirection:
-    """Steps 2 to 5: cycle by cycle."""
+    """Steps 2 to 5 of method D, cycle by cycle."""
 
     def __init__(self, choice: ChoiceSettings) -> None:
         self.choice = choice
@@ -145,9 +145,10 @@ class PublishedDirection:
         self._contradicted = False
 
     def take_cycle(self, cycle: StepCycle, level: float) -> PublishedResult:
-        """Take a cycle (its acceleration reading +g upwards) and its level frame's heading [rad].
+        """Take a cycle and return its headings. The acceleration of the cycle is +g for an axis
+        that points up.
 
-        level: clockwise angle from north of the level frame's y axis.
+        level: clockwise angle from north to the y axis of the level frame [rad].
         """
         c = self.choice
         mean = cycle.accel.mean(axis=0)
@@ -174,10 +175,10 @@ class PublishedDirection:
 
 
 def apart(a: float | None, b: float | None) -> float:
-    """Return the size of the difference of two angles [rad]; zero if one of them is not known."""
+    """Return the absolute difference of two angles [rad]; zero if one angle is not known."""
     return 0.0 if a is None or b is None else difference(a, b)
 
 
 def difference(a: float, b: float) -> float:
-    """Return the size of the difference of two angles, at most pi [rad]."""
+    """Return the absolute difference of two angles, at most pi [rad]."""
     return abs(math.remainder(a - b, TWO_PI))

@@ -1,9 +1,10 @@
 """Direction of north from a magnetometer with iron near it and a gyroscope with a zero error.
 
-The field model uses a level frame P that the gyroscope keeps: m = h + C^T M + noise. h is the hard
-iron of the terminal. M is the earth's field in P; it turns about the vertical with the gyroscope's
-zero error. The vector h does not turn when the terminal does, and that separates the two. A Kalman
-filter of seven states (h, M in uT; zero error in rad/s) estimates all three.
+The field model uses a level frame P, which is tracked with the gyroscope: m = h + C^T M + noise. h
+is the hard iron of the terminal, in terminal axes. M is the earth's field in P. M turns about the
+vertical because of the gyroscope's zero error. When the terminal turns, h is constant in terminal
+axes and C^T M is not, so the filter can separate h and M. A Kalman filter with seven states (h, M
+in uT; zero error in rad/s) estimates h, M and the zero error.
 """
 
 from __future__ import annotations
@@ -16,32 +17,35 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, Vector
 
 MICRO = 1e6
-"""Factor from tesla to uT: numbers near one suit a covariance."""
+"""Factor from tesla to uT. With numbers near one, the covariance is accurate."""
 STEP_S = 0.2
 """Time over which fields are averaged before use [s]."""
 HARD_IRON_STD = 15.0
-"""[uT]; a magnetised case has more, which is found when the terminal turns."""
+"""Deviation of the hard iron [uT]. A magnetised case has more hard iron, which is estimated when
+the terminal turns."""
 FIELD_STD = 50.0
-"""[uT]; the earth's field is 25 to 65."""
+"""Deviation of the earth's field [uT]. The earth's field is 25 to 65 uT."""
 ZERO_ERROR_STD = math.radians(0.5)
-"""Gyroscope zero error without a rest [rad/s]."""
+"""Deviation of the gyroscope's zero error without a rest [rad/s]."""
 RESTED_STD = math.radians(0.05)
 """Deviation of the zero error after a rest [rad/s]."""
 NOISE = 35.0
-"""[uT] per 0.2 s: it represents 5 uT of disturbance that lasts some ten seconds (steel, cables)."""
+"""Noise of a field that is averaged over 0.2 s [uT]. It represents a disturbance of 5 uT that lasts
+for some ten seconds (steel, cables)."""
 HARD_IRON_WALK = 0.03
-"""[uT/sqrt(s)]"""
+"""Random walk of the hard iron [uT/sqrt(s)]."""
 FIELD_WALK = 0.2
-"""[uT/sqrt(s)]: the field changes along streets."""
+"""Random walk of the earth's field [uT/sqrt(s)]: the field changes along streets."""
 ZERO_WALK = math.radians(0.002)
-"""[rad/s/sqrt(s)]"""
+"""Random walk of the gyroscope's zero error [rad/s/sqrt(s)]."""
 GATE = 3.0
 DISTURBANCE = 5.0
 """Disturbance for which `NOISE` is chosen [uT]."""
 DISTURBANCE_S = 120.0
-"""Time over which the disturbance is measured from the field's own size [s]."""
+"""Time over which the disturbance is measured from the size of the field [s]."""
 DISTURBANCE_PARTS = (0.3, 3.0)
-"""Limits of the measured disturbance relative to `DISTURBANCE`: a short walk shows little."""
+"""Limits of the measured disturbance, relative to `DISTURBANCE`. A short walk does not show the
+whole disturbance."""
 
 
 class NorthFilter:
@@ -64,7 +68,8 @@ class NorthFilter:
         self._seen = 0
 
     def rested(self) -> None:
-        """Note that the gyroscope's zero error has just been measured, so its rest is small."""
+        """Note that the gyroscope's zero error has just been measured, so its remaining error is
+        small."""
         self.x[6] = 0.0
         self.P[6, :] = 0.0
         self.P[:, 6] = 0.0
@@ -105,8 +110,8 @@ class NorthFilter:
         self._watch(C @ (field - self.x[0:3]))
 
     def _watch(self, level_field: Array) -> None:
-        """Measure the disturbance: the earth's field keeps its level and vertical size, so their
-        changes are disturbance.
+        """Measure the disturbance. The level and the vertical size of the earth's field are
+        constant, so changes of these sizes are the disturbance.
         """
         sizes = np.array([math.hypot(level_field[0], level_field[1]), level_field[2]])
         self._seen += 1
@@ -116,7 +121,8 @@ class NorthFilter:
         self._variance += part * ((1.0 - part) * float(off @ off) / 2.0 - self._variance)
 
     def _predict(self, dt: float) -> None:
-        """Predict: P turns with the zero error, and the field in P turns the other way."""
+        """Predict over dt [s]: P turns with the zero error, so the field in P turns in the opposite
+        direction."""
         east, north, zero = float(self.x[3]), float(self.x[4]), float(self.x[6])
         F = np.eye(7)
         turn = zero * dt
@@ -130,7 +136,8 @@ class NorthFilter:
 
     @property
     def yaw(self) -> float | None:
-        """Rotation of P about the vertical that brings the field to the north [rad]."""
+        """Rotation of P about the vertical that turns the field to the north [rad]; None if not
+        known."""
         east, north = float(self.x[3]), float(self.x[4])
         if not self.ready or math.hypot(east, north) < 1.0:
             return None
@@ -138,7 +145,8 @@ class NorthFilter:
 
     @property
     def std(self) -> float:
-        """Deviation of `yaw` [rad]: that of the filter, scaled by the measured disturbance."""
+        """Deviation of `yaw` [rad]: the deviation of the filter, scaled by the measured
+        disturbance."""
         east, north = float(self.x[3]), float(self.x[4])
         size = east * east + north * north
         if size < 1.0:

@@ -1,4 +1,5 @@
-"""Step cycles: each full sine period of the vertical acceleration is one (method D, step 1)."""
+"""Step cycles: each full sine period of the vertical acceleration is one step cycle (method D, step
+1)."""
 
 from __future__ import annotations
 
@@ -14,21 +15,22 @@ from imucald.core.rotations import Vector
 POINTS = 64
 """Number of equal parts into which a cycle is resampled."""
 MAX_SAMPLES = 4096
-"""Largest number of samples of one cycle that are stored."""
+"""Largest number of stored samples of one cycle."""
 GAP_S = 0.25
-"""Samples further apart than this do not belong to one cycle [s]."""
+"""Time between two samples above which they do not belong to one cycle [s]."""
 SOFT_SHARE = 0.4
-"""While walking, the threshold is at most this share of the vertical acceleration's rms."""
+"""Largest ratio of the threshold to the rms of the vertical acceleration while walking."""
 MIN_SAMPLES = 6
-"""Smallest number of samples of a sine."""
+"""Smallest number of samples of a sine period."""
 
 
 @dataclass(frozen=True)
 class StepCycle:
-    """One step: its time [s], and the acceleration (POINTS, 3) on equal parts of it [m/s^2].
+    """One step: its begin and end [s], and the acceleration (POINTS, 3) in equal parts of this time
+    [m/s^2].
 
-    The acceleration is in terminal axes. level: the same in the level frame that was passed in.
-    turning: (POINTS, 2) angular rate about that frame's horizontal axes [rad/s].
+    The acceleration `accel` is in terminal axes. level: acceleration in the level frame. turning:
+    (POINTS, 2) angular rate about the horizontal axes of the level frame [rad/s].
     """
 
     t0: float
@@ -39,21 +41,22 @@ class StepCycle:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Duration of the step [s]."""
         return self.t1 - self.t0
 
 
 class StepCycles:
-    """Cuts the stream of accelerometer samples into step cycles.
+    """Divides the stream of accelerometer samples into step cycles.
 
-    The low-passed acceleration shows the vertical. A cycle goes from one rise of the vertical
-    acceleration through its mean to the next, with a fall past the threshold in between.
+    The low-pass filtered acceleration shows the vertical. A cycle begins when the vertical
+    acceleration rises through its mean, and ends at the next such rise. In between, the vertical
+    acceleration must fall below minus the threshold.
     """
 
     def __init__(self, settings: StepSettings) -> None:
         self.settings = settings
         self.steps = 0
-        """Number of full cycles so far."""
+        """Number of complete cycles so far."""
         self.restart()
 
     def restart(self) -> None:
@@ -78,10 +81,11 @@ class StepCycles:
         turning: tuple[float, float] = (0.0, 0.0),
         up: float | None = None,
     ) -> StepCycle | None:
-        """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any.
+        """Take a sample [m/s^2] at t [s]. Returns the cycle that ends with this sample, or None.
 
-        level, turning: in a level frame, stored with the cycle. up: the part along the vertical, if
-        an attitude is known. Without an attitude, the low-passed acceleration shows the vertical.
+        level, turning: acceleration and angular rate in a level frame; they are stored with the
+        cycle. up: vertical acceleration, if an attitude is known. Without an attitude, the low-pass
+        filtered acceleration shows the vertical.
         """
         dt = t - self._t
         if dt <= 0.0:
@@ -133,10 +137,10 @@ class StepCycles:
         return StepCycle(t0, t1, made[:, :3], made[:, 3:6], made[:, 6:])
 
     def _threshold(self, dt: float, vertical: float) -> float:
-        """Return the threshold.
+        """Return the threshold of the vertical acceleration [m/s^2].
 
-        The threshold is lower while a person walks softly: a swinging arm takes from every other
-        step.
+        The threshold is lower while a person walks softly, because a swinging arm makes every
+        second step weaker.
         """
         top = self.settings.threshold
         part = 1.0 - math.exp(-dt / self.settings.gravity_time)
@@ -145,7 +149,7 @@ class StepCycles:
         return top if rms < 0.8 * top else min(top, max(SOFT_SHARE * rms, 0.5 * top))
 
     def _vertical(self, dt: float, accel: Vector, up: float | None) -> float:
-        """Return the vertical acceleration, low-passed twice [m/s^2]."""
+        """Return the vertical acceleration, filtered with two low-pass filters [m/s^2]."""
         s = self.settings
         self._warm += dt
         part = 1.0 - math.exp(-dt / min(s.gravity_time, max(self._warm, dt)))

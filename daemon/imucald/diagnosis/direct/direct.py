@@ -1,6 +1,6 @@
-"""Direct evidence, before any fit: the gyroscope's zero at stops.
+"""Direct evidence before any fit: the gyroscope's zero error at stops.
 
-A fit that contradicts this zero is wrong, so the zero at stops bounds the fit.
+A fit that contradicts the zero error at stops is wrong, so the zero error at stops limits the fit.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
 LEAST_SE = 0.04 * DEG
-"""Accuracy of the zero from one or two stops: stops of one measured drive differ by 0.03 deg/s."""
+"""Accuracy of the zero error from one or two stops [rad/s]. Between the stops of one measured
+drive, the zero error differs by 0.03 deg/s."""
 FINEST_SE = 0.004 * DEG
 CHANCE = 0.01
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Zero error of the gyroscope against the model file, along the vehicle's axes. (3,) each."""
+    """Zero error of the gyroscope relative to the model file, along the vehicle's axes, (3,)."""
 
     rate: Array
     """Mean over the stops [rad/s]."""
@@ -34,13 +35,16 @@ class Rest:
     quantile: float
     stops: int
     kelvin: float = 0.0
-    """Mean temperature of the stops minus the temperature at which the file's zero holds [K]."""
+    """Mean temperature of the stops minus the temperature at which the zero error of the model file
+    is valid [K]."""
     per_kelvin: Array | None = None
-    """Slope of the stops' rates over temperature; None if the temperature hardly changes."""
+    """Slope of the rates at stops over temperature [rad/s/K]; None if the temperature hardly
+    changes."""
 
     def allowed(self, model: VehicleModel) -> Array:
-        """(3,) error that a correct file may have at these stops: the tolerance of its zero, plus
-        that of its temperature slope times the temperature difference."""
+        """Return the error (3,) that a correct model file may have at these stops [rad/s]. The
+        error is the tolerance of the zero error, plus the tolerance of its temperature slope times
+        the temperature difference."""
         return np.array(
             [
                 tolerance(model, f"gyro.bias.{axis}")
@@ -50,8 +54,9 @@ class Rest:
         )
 
     def bounds(self, model: VehicleModel) -> dict[str, tuple[float, float]]:
-        """Bounds of the zero for the fit: its interval at stops, widened by the tolerance of its
-        temperature slope times the temperature difference."""
+        """Return limits of the zero error for the fit [rad/s]. The limits are the interval of the
+        zero error at stops, widened by the tolerance of its temperature slope times the temperature
+        difference."""
         half = self.quantile * self.se
         half = half + np.array(
             [tolerance(model, f"gyro.bias_temperature.{axis}") for axis in "xyz"]
@@ -63,7 +68,7 @@ class Rest:
 
 
 def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int) -> Rest | None:
-    """Zero error by the means over all stops; None without a gyroscope or a stop."""
+    """Return the zero error from the means over all stops; None without a gyroscope or a stop."""
     rates, kelvins = [], []
     sensor = sensor_of(model, "gyro", {})
     inverse = np.linalg.inv(sensor.gain)
@@ -96,7 +101,8 @@ LEAST_KELVIN = 4.0
 
 
 def _slope(kelvin: Array, table: Array) -> Array | None:
-    """Slope of a regression of the stops' rates on temperature."""
+    """Return the slope of a regression of the rates at stops on the temperature; None if the
+    temperature hardly changes."""
     n = len(kelvin)
     if n < FEW_STOPS + 2 or np.ptp(kelvin) < LEAST_KELVIN:
         return None

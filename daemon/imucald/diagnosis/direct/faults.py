@@ -1,8 +1,9 @@
-"""Faults that are visible in samples and time stamps alone: values piled up on a rail, stuck
-signals, lost or doubled frames, wrong cycle.
+"""Faults that are visible in samples and time stamps alone: values at the end of a range, stuck
+signals, lost or doubled frames, a wrong cycle time.
 
-Each is direct evidence. The samples that a fault makes invalid are kept out of the fit. Rails and
-repeated values of sensors are found as while driving (`motion.recorded_health`).
+Each fault is direct evidence. The samples that a fault makes invalid are not used in the fit. Ends
+of a range and repeated values of sensors are found with the same tests as in live operation
+(`motion.recorded_health`).
 """
 
 from __future__ import annotations
@@ -25,24 +26,27 @@ from imucald.motion.recorded_health import recorded_health
 LEAST_ROWS = 100
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 CHANCE = 0.01
-"""Chance of a false rail or a false stuck value in one drive, divided among the sensors."""
+"""Chance of a falsely found end of a range or stuck value in one drive. It is divided among the
+sensors."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""
 PAUSE_S = 10.0
-"""A longer gap [s] begins a new segment, everywhere in this program."""
+"""Gap after which a new segment begins [s], everywhere in this program."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
-"""The first limit is that of two crystals of +-100 ppm over temperature and age. Beyond the second
-limit (1 %) the model file states another rate, which is no fault."""
+"""Two limits of a clock error [ppm]. The first limit is the largest difference between two crystals
+of +-100 ppm over temperature and age. Beyond the second limit (1 %), the model file states another
+rate, which is not a fault."""
 
 
 def find_faults(
     samples: Samples, model: VehicleModel, lost: Mapping[str, Lost] | None = None
 ) -> list[Fault]:
-    """Find all faults of samples and stamps that the model file does not state.
+    """Return all faults of samples and time stamps that the model file does not state.
 
-    lost: invalid readings by signal (`lost_readings`), which are not the end of a range.
+    lost: invalid readings by signal (`lost_readings`). Readings at the end of a range are not
+    invalid.
     """
     moving, none = _moving(samples), lost or {}
     found: list[Fault] = []
@@ -68,8 +72,8 @@ def find_faults(
 def invalid_spans(
     faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost], held: bool = False
 ) -> dict[str, Spans]:
-    """Intervals of time by signal that must not be used. held: at a rail, only the samples on the
-    rail itself."""
+    """Return, by signal, the intervals of time that must not be used. held: at the end of a range,
+    return only the samples with the end value."""
     made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
         own = fault.held if held and fault.held else fault.spans
@@ -78,8 +82,8 @@ def invalid_spans(
 
 
 def _moving(samples: Samples) -> tuple[Array, Array]:
-    """Return times and speeds. The speed is 0 while its signal is stuck, because nothing then shows
-    that the vehicle moves."""
+    """Return times and speeds. The speed is set to 0 while its signal is stuck, because no signal
+    then shows that the vehicle moves."""
     speed = samples["speed"]
     values = np.where(np.isfinite(speed.values), speed.values, 0.0)
     if len(speed.t) >= LEAST_ROWS:
@@ -90,7 +94,8 @@ def _moving(samples: Samples) -> tuple[Array, Array]:
 
 
 def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterator[Fault]:
-    """Find samples at the end of a sensor's range, and values that it repeats."""
+    """Yield the faults of a sensor's values: samples at the end of the range, and repeated
+    values."""
     found = recorded_health(name, series.t, series.values, moving, CHANCE / len(INERTIAL))
     hit = found.on_rail
     if hit.any():
@@ -112,12 +117,12 @@ def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterat
 
 
 def _runs_of(t: Array, hit: Mask) -> Spans:
-    """Intervals of time that contain these rows and no others."""
+    """Return the intervals of time that contain exactly these rows."""
     return tuple((float(t[first]), float(t[after - 1])) for first, after in true_runs(hit))
 
 
 def spans_of(t: Array, hit: Mask) -> Spans:
-    """Intervals of time about rows; close intervals are joined."""
+    """Return intervals of time around these rows, with a margin. Close intervals are joined."""
     at = t[hit]
     if not len(at):
         return ()
@@ -132,7 +137,8 @@ def spans_of(t: Array, hit: Mask) -> Spans:
 
 
 def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
-    """Find lost frames, doubled frames, and a cycle that differs from the stated one."""
+    """Yield the faults of a signal's frames: lost frames, doubled frames, and a cycle time that
+    differs from the stated one."""
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))
     again = duplicates(series, period)  # not frames with a shared stamp but other values
@@ -181,7 +187,8 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
 
 
 def _has_other_rate(steps: Array) -> bool:
-    """True if wide steps follow each other, as when a sender changes its rate without losing
-    frames. After most random or burst losses a step of one cycle follows. steps: (N,) cycles."""
+    """True if long steps follow each other. The sender has then changed its rate, and no frames are
+    lost. After most random losses or burst losses, a step of one cycle follows. steps: (N,)
+    [cycles]."""
     wide = steps > 1.0
     return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)

@@ -1,10 +1,10 @@
-"""Find a constant speed signal while the inertial sensors show that the speed changes.
+"""Find a speed signal that is constant although the inertial sensors show that the speed changes.
 
-The speed is predicted from accelerometer and gyroscope. The residual contains noise and the road's
-effect, and has about the same size throughout a drive. If the speed signal is held instead of
-measured, the residual is as large as the hidden change. The mount is not known here, so the
-relation between the speed, the three axes and the gravity that the gyroscope turns into them is
-fitted to the drive itself.
+The speed is predicted from accelerometer and gyroscope. The residual contains noise and the effect
+of the road. The size of this residual is about the same throughout a drive. If the speed signal
+repeats an old value, the residual is as large as the hidden change of speed. The mount is not known
+here. The relation between the speed and the three axes is therefore fitted to the drive. The fit
+includes the rotation of gravity, which is computed from the gyroscope.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from imucald.diagnosis.signals import Spans
 STEP_S = 0.2
 MOVING_MPS = 2.0
 LEAST_WINDOWS = 8
-"""Fewest windows of the same length with which a span is compared."""
+"""Smallest number of windows of the same length with which an interval is compared."""
 APART = 4
-"""If a window contains a stop, the next window begins 1/APART of a length later."""
+"""Divisor of the window length: if a window contains a stop, the next window begins 1/APART of a
+length later."""
 
 
 def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
-    """(S,) chance of the sensors' signals in each span of constant speed, if the speed is truly
-    constant there. Spans are never compared with each other. NaN if the sensors do not cover a
-    span.
+    """Return the chance (S,) of the sensors' signals in each interval of constant speed, assuming
+    that the true speed is constant. NaN if the sensors do not cover an interval.
 
-    The logarithm of the span's residual is compared with those of windows of the same length in
-    motion (Student's t for one more value of a sample).
+    The logarithm of the interval's residual is compared with the residuals of windows of the same
+    length in motion (Student's t distribution of one further value). No window contains part of
+    another interval.
     """
     made = np.full(len(spans), np.nan)
     if not spans or "accel" not in samples:
@@ -54,8 +55,9 @@ def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
 
 
 def _signals(samples: Samples) -> tuple[Array, Array]:
-    """Grid (N,), and on it the speed with its regressors (N, 1 + 3 or 6): the integral of the
-    force, and the twice integrated angular rate for the turning of gravity."""
+    """Return the time grid (N,), and on this grid the speed and its regressors (N, 1 + 3 or 6). The
+    regressors are the integral of the force, and the double integral of the angular rate for the
+    rotation of gravity."""
     speed, accel = samples["speed"], samples["accel"]
     t = np.arange(max(speed.t[0], accel.t[0]), min(speed.t[-1], accel.t[-1]), STEP_S)
     columns = [np.interp(t, speed.t, speed.values)[:, None], _integral(_means(accel, t))]
@@ -65,7 +67,7 @@ def _signals(samples: Samples) -> tuple[Array, Array]:
 
 
 def _means(series: Series, t: Array) -> Array:
-    """(N, width) means over one grid step about each time."""
+    """Return means (N, width) over one grid step around each time."""
     rows = series.values.reshape(len(series.t), -1)
     steps = 0.5 * (rows[1:] + rows[:-1]) * np.diff(series.t)[:, None]
     area = np.concatenate([np.zeros_like(rows[:1]), np.cumsum(steps, axis=0)])
@@ -79,7 +81,8 @@ def _integral(x: Array) -> Array:
 
 
 def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
-    """First rows of consecutive windows of n rows in motion that contain no part of a span."""
+    """Return the first rows of consecutive windows of n rows in motion. No window contains part of
+    an interval."""
     good = v > MOVING_MPS
     for low, high in spans:
         good &= (t < low) | (t > high)
@@ -94,15 +97,15 @@ def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
 
 
 def _detrended(rows: Array) -> Array:
-    """Remove mean and slope: the start value, and the effects of a zero error and a constant road
-    slope."""
+    """Return the rows without mean and slope. Mean and slope contain the start value, and the
+    effects of a zero error and of a constant road slope."""
     line = np.column_stack([np.ones(len(rows)), np.linspace(-1.0, 1.0, len(rows))])
     return np.asarray(rows - line @ np.linalg.lstsq(line, rows, rcond=None)[0])
 
 
 def _left(windows: Array, own: Array) -> Array:
-    """rms residual (W + 1,) of the speed, with the regression fitted to the windows (W, n, P); the
-    span is last."""
+    """Return the rms residual (W + 1,) of the speed. The regression is fitted to the windows (W, n,
+    P). The last residual belongs to the tested interval."""
     gram = np.einsum("wni,wnj->ij", windows, windows)
     ridge = 1e-9 * np.diag(np.diag(gram)[1:]) + 1e-30 * np.eye(len(gram) - 1)
     b = np.linalg.solve(gram[1:, 1:] + ridge, gram[1:, 0])

@@ -1,7 +1,8 @@
-"""Find a value inside a sensor's range that it shows far more often than the neighbouring values.
+"""Find a value within a sensor's range that the sensor shows far more often than the neighbouring
+values.
 
-Causes are a dead zone, a default sent when nothing was measured, or missing codes of a converter.
-Such a sensor does not show the true motion, and no parameter describes its error.
+Causes are a dead zone, a default value that is sent without a measurement, or missing codes of a
+converter. Such a sensor does not show the true motion, and no parameter describes its error.
 """
 
 from __future__ import annotations
@@ -19,17 +20,19 @@ from imucald.diagnosis.signals import DriveSignals
 SENSORS = ("accel", "gyro")
 MOVING_MPS = 2.0
 BESIDE = 3
-"""A value is compared with the most frequent of at least this many levels on each side."""
+"""Smallest number of neighbouring levels on each side of a value. The value is compared with the
+most frequent of these levels."""
 WINDOW, LEAST_WINDOWS = 100, 10
-"""Samples in a window for the noise, which gives the noise to 10 %; fewest windows."""
+"""Number of samples in a window for the noise, which gives the noise to 10 %; smallest number of
+windows."""
 QUIETEST = 0.1
-"""Quantile of the windows' noise that is used."""
+"""Quantile of the windows' noise that is used as the noise of the sensor."""
 CHANCE = 0.01
 LEAST_ROWS = 300
 
 
 def held_values(drives: Sequence[DriveSignals]) -> list[Structure]:
-    """Sensors that hold a value, over all drives."""
+    """Return the sensors that show such a value, over all drives."""
     found: dict[str, Structure] = {}
     for drive in drives:
         for name in SENSORS:
@@ -65,13 +68,13 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
 
 
 def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
-    """Value, its share of the samples, and the ratio of its frequency to its neighbours'; None
-    without one.
+    """Return a value, its share of the samples, and the ratio of its frequency to the frequency of
+    its neighbours; None if no value is too frequent.
 
-    Gaussian noise of deviation s smooths every distribution, so the density f of the values obeys
-    f(0) <= exp(d^2/2s^2) (f(-d) + f(d))/2, because cosh is at least 1. Of all samples on one level
-    and on the most frequent level at distance d, at most the share e/(1 + e) is on the first, with
-    e = exp(d^2/2s^2).
+    Gaussian noise with deviation s smooths every distribution, so the density f of the values obeys
+    f(0) <= exp(d^2/2s^2) (f(-d) + f(d))/2, because cosh is at least 1. Consider only the samples on
+    one level and on the most frequent level at distance d. At most the share e/(1 + e) of these
+    samples is on the first level, with e = exp(d^2/2s^2).
     """
     levels, counts = np.unique(x, return_counts=True)
     if len(levels) < 4 * BESIDE:
@@ -98,8 +101,8 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
 
 
 def noise_about(x: Array, value: float = np.nan) -> float:
-    """Noise of a sensor in its quietest windows, from differences of successive samples; 0 if too
-    few samples differ from `value`. A difference contains the noise twice."""
+    """Return the noise of a sensor in its quietest windows, from differences of successive samples.
+    0 if too few samples differ from `value`. A difference contains the noise twice."""
     steps = np.diff(x) ** 2 / 2.0
     away = (x[1:] != value) & (x[:-1] != value)
     size = len(steps) // WINDOW * WINDOW

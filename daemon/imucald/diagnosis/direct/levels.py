@@ -1,9 +1,10 @@
 """Evidence from a signal's values alone: the levels of its converter.
 
-The levels of a converter, or of a unit that forwards its values, lie one step apart. If a later
-drive has coarser steps than the drives of the model file, or shows 0 up to a higher value,
-something new stands between sensor and log. If a signal jumps over a range of values repeatedly and
-never shows it, that range is missing. An extended model file holds the levels of its own drives.
+The levels of a converter, or of a unit that forwards its values, are one step apart. If a later
+drive has coarser steps than the drives of the model file, there is a new device or setting between
+sensor and log. The same is true if the signal is 0 up to a higher value. If a signal jumps over a
+range of values repeatedly and never shows a value in it, the range is missing. An extended model
+file contains the levels of its own drives.
 """
 
 from __future__ import annotations
@@ -32,23 +33,24 @@ SIGNALS = (
 )  # fmt: skip
 """Signals that are tested."""
 OF_WHEELS = ("speed", "wheel_speeds")
-"""Signals that show 0 below some speed."""
+"""Signals that are 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
-"""Levels belong to a converter if the share ON_STEPS of the gaps of up to NEAR_STEPS steps are
-whole numbers of steps, within OFF_STEP. With random gaps this share is a fifth."""
+"""Conditions for the levels of a converter. At least the share ON_STEPS of the gaps of up to
+NEAR_STEPS steps must be whole numbers of steps, within OFF_STEP. With random gaps, this share is a
+fifth."""
 LEAST_GAPS = 10
 SAME = 1e-9
-"""Distance of two levels, relative to the signal's largest value, below which they are one level
-that was rounded twice."""
+"""Distance of two levels, relative to the signal's largest value, below which the two levels are
+one level with different rounding."""
 GAIN = 1.0 + max(row.plausible[1] for key, row in PARAMETERS.items() if ".scale" in key)
-"""Largest factor by which a plausible wrong gain may change a step."""
+"""Largest factor by which a plausible gain error may change a step."""
 OBD_STEP = 1.0 / 3.6
 """One bit of a vehicle's speed [m/s] (SAE J1979, PID 0x0D)."""
 FEW_CHANGES = 0.25
-"""A hole must be wider than this quantile of the signal's changes, because noise alone may cause
-such changes."""
+"""Quantile of the signal's changes. A hole must be wider than this quantile, because noise alone
+may cause smaller changes."""
 LEAST_CODES = 2
-"""Fewest codes in a hole: any converter may miss single codes."""
+"""Smallest number of codes in a hole: any converter may have single missing codes."""
 
 
 @dataclass(frozen=True)
@@ -56,25 +58,25 @@ class Numbers:
     """One component of a signal over time."""
 
     name: str
-    """Name as in structures: `accel_x`, `speed`."""
+    """Name as in the reported structures: `accel_x`, `speed`."""
     channel: str
     unit: str
     t: Array
     values: Array
-    """(N,), in the channel's unit."""
+    """Values (N,) in the unit of the channel."""
     is_next: Mask
-    """(N - 1,) whether the following row is the next one that was sent."""
+    """Flags (N - 1,): True if the following row is the next sent row."""
 
 
 def signals_of(drive: DriveSignals) -> Iterator[Numbers]:
-    """Each component of each signal of a drive, without samples that faults make invalid."""
+    """Yield each component of each signal of a drive, without samples that faults make invalid."""
     for name in SIGNALS:
         if drive.has(name):
             yield from numbers_of(name, drive.channels[name])
 
 
 def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
-    """Each component of a signal."""
+    """Yield each component of a signal."""
     good = channel.good()
     t, table = channel.t[good], channel.values.reshape(len(channel.t), -1)[good]
     if len(t) < 2:
@@ -90,14 +92,15 @@ def numbers_of(name: str, channel: Channel) -> Iterator[Numbers]:
 
 
 def levels_of(x: Array) -> Array:
-    """(L,) occurring levels, ascending."""
+    """Return the levels (L,) that occur, in ascending order."""
     found = np.unique(x)
     apart = np.diff(found) > SAME * max(1.0, float(np.abs(found).max()))
     return np.asarray(found[np.concatenate([[True], apart])])
 
 
 def finest_of(levels: Array) -> float:
-    """Gap between levels that nine tenths of the gaps reach; 0 if there are few gaps."""
+    """Return the gap between levels that nine tenths of the gaps reach or exceed; 0 if there are
+    few gaps."""
     gaps = np.diff(levels)
     return (
         float(np.quantile(gaps, GAP_QUANTILES[0], method="lower"))
@@ -107,7 +110,8 @@ def finest_of(levels: Array) -> float:
 
 
 def step_of(levels: Array) -> float:
-    """Step of the converter that made these levels; 0 if they lie on no common grid."""
+    """Return the step of the converter that made these levels; 0 if the levels are not on a common
+    grid."""
     gaps, step = np.diff(levels), finest_of(levels)
     if step == 0.0:
         return 0.0
@@ -117,8 +121,8 @@ def step_of(levels: Array) -> float:
 
 
 def is_one_grid(levels: Array, step: float) -> bool:
-    """True if all levels lie on one grid from end to end. Readings that were rotated after rounding
-    lie in clusters: their gaps are equal, but do not add up to a grid."""
+    """True if all levels are on one grid from end to end. Readings that were rotated after rounding
+    form clusters: their gaps are equal, but do not add up to a grid."""
     code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
     slope, start = np.polyfit(code, levels, 1)
     off = np.abs(levels - start - slope * code)
@@ -129,8 +133,8 @@ def is_one_grid(levels: Array, step: float) -> bool:
 
 
 def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
-    """Test whether signals have coarser steps than in the file's drives, or show 0 up to a higher
-    value."""
+    """Test whether signals have coarser steps than in the drives of the model file, or are 0 up to
+    a higher value."""
     asked: list[Question] = []
     for drive in drives:
         for signal in signals_of(drive):
@@ -143,9 +147,10 @@ def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Questi
 
 
 def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question]:
-    """Of the gaps between occurring levels, at most the finest tenth are narrower than the new
-    step. With the same number of levels on the file's finer grid, far more gaps would be
-    narrower."""
+    """Test one signal for coarser steps.
+
+    At most a tenth of the gaps between occurring levels are narrower than the new step. If the same
+    number of levels were on the finer grid of the model file, far more gaps would be narrower."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if lsb == 0.0 or step <= GAIN * (lsb + known_to):
@@ -166,9 +171,12 @@ def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question
 
 
 def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
-    """Test the values next to 0, each time that the signal leaves or reaches 0. If values are
-    uniformly distributed, the chance of n values between the smallest one and twice that is 2^-n,
-    at any rate (first event of a Poisson process: the integral of e^-u P(N >= n | u))."""
+    """Test one signal for a range next to 0 that it never shows.
+
+    The test uses the values next to 0, each time that the signal leaves or reaches 0. For uniformly
+    distributed values, the chance that n values are between the smallest value and twice the
+    smallest value is 2^-n. The chance does not depend on the rate (first event of a Poisson
+    process: the integral of e^-u P(N >= n | u))."""
     x = np.abs(signal.values)
     low, high = np.minimum(x[1:], x[:-1]), np.maximum(x[1:], x[:-1])
     beside = high[(low == 0.0) & (high > 0.0) & signal.is_next]
@@ -189,16 +197,18 @@ def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
 
 
 def holes(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Find ranges that a signal jumps over and never shows."""
+    """Test whether signals jump over a range that they never show."""
     return [q for drive in drives for signal in signals_of(drive) for q in _hole(signal)]
 
 
 def _hole(signal: Numbers) -> Iterator[Question]:
-    """Find the hole that the signal jumps over most often. A change from sample to sample is rarer
-    the larger it is. From a value up to one hole width below a hole, a change into the hole is
-    therefore at least as likely as a change to a value up to one width above it. Each such jump has
-    a chance of at most a half. A standing vehicle that sets off is an exception, so speeds are
-    tested from 1 km/h on."""
+    """Test the hole that the signal jumps over most often.
+
+    A large change from sample to sample is rarer than a small change. Consider a start value that
+    is at most one hole width below a hole. From this value, a change into the hole is at least as
+    likely as a change to a value at most one hole width above the hole. Each jump over the hole
+    therefore has a chance of at most a half. A standing vehicle that starts to move is an
+    exception, so speeds are tested above 1 km/h only."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if step == 0.0 or not is_one_grid(levels, step):
@@ -237,8 +247,8 @@ def _hole(signal: Numbers) -> Iterator[Question]:
 
 
 def with_levels(model: VehicleModel, drives: Sequence[DriveSignals]) -> VehicleModel:
-    """Return the model file with the levels of these drives' signals: for each signal the finest
-    levels of all drives, and the least value above 0."""
+    """Return the model file with the levels of these drives' signals. For each signal, these are
+    the finest levels of all drives, and the smallest value above 0."""
     made: dict[str, Leaves] = {}
     for drive in drives:
         for signal in signals_of(drive):
@@ -264,7 +274,7 @@ def _stated(signal: Numbers, duration_s: float) -> Leaves | None:
 
 
 def _closer(a: Leaves, b: Leaves) -> Leaves:
-    """Return the entry with the finer levels, and the smaller of both least values."""
+    """Return the entry with the finer levels, and with the smaller of the two smallest values."""
     chosen = a if a.rms[0] <= b.rms[0] else b
     low = min(a.speeds_mps[0], b.speeds_mps[0])
     return msgspec.structs.replace(chosen, speeds_mps=(low, max(low, chosen.speeds_mps[1])))

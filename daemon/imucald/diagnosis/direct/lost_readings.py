@@ -1,8 +1,8 @@
-"""Find invalid readings: the value to which a sensor falls back when a connector opens, or a
-default value.
+"""Find invalid readings: the value that a sensor outputs when a connector opens, or a default
+value.
 
-A true signal reaches a value through neighbouring values. A lost reading jumps to its value and
-back from anywhere, without values in between.
+A true signal reaches a value through neighbouring values. A lost reading jumps to the invalid value
+and back from any other value, without values in between.
 """
 
 from __future__ import annotations
@@ -20,39 +20,40 @@ from imucald.diagnosis.signals import Mask
 
 LEAST_ROWS = 100
 CHANCE = 0.01
-"""Chance of a false finding in one drive, divided among its signals."""
+"""Chance of a false finding in one drive. It is divided among the signals of the drive."""
 RARE = 0.01
 """Largest share of a sensor's usual steps that may be as large as a jump."""
 PASSES_HALF = 0.25
-"""When a signal comes within half its usual distance of a value, it reaches the value in at most
-this share of the cases: the tails of a distribution with a variance fall faster than 1/x^2
+"""Share for the test of a value that is reached through its neighbours. When a signal comes within
+half its usual distance of a value, it reaches the value in at most this share of the cases. The
+reason is that the tails of a distribution with a finite variance fall faster than 1/x^2
 (Chebyshev)."""
 
 
 @dataclass(frozen=True)
 class Lost:
-    """Readings of one signal that jump to one value and back."""
+    """Lost readings of one signal: the signal jumps to one value and back."""
 
     value: Array
-    """(W,) in sensor axes."""
+    """Value (W,) of the lost readings, in sensor axes."""
     rows: Mask
-    """(N,) True for the lost readings."""
+    """Flags (N,): True for the lost readings."""
     visits: int
 
     def kept(self, series: Series) -> Series:
-        """The other readings."""
+        """Return the readings that are not lost."""
         return Series(series.t[~self.rows], series.values[~self.rows])
 
 
 def all_lost(samples: Samples) -> dict[str, Lost]:
-    """Lost readings by signal, for signals that have any."""
+    """Return the lost readings by signal, for the signals that have lost readings."""
     asked = [name for name in INERTIAL if name in samples and len(samples[name].t) >= LEAST_ROWS]
     found = {name: lost_readings(samples[name], len(asked)) for name in asked}
     return {name: lost for name, lost in found.items() if lost is not None}
 
 
 def as_structure(name: str, lost: Lost) -> Structure:
-    """The finding as a `Structure`, with a text and the number of visits."""
+    """Return the finding as a `Structure`, with a text and the number of visits to the value."""
     unit = QUANTITIES[name].unit
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (
@@ -64,8 +65,8 @@ def as_structure(name: str, lost: Lost) -> Structure:
 
 
 def lost_readings(series: Series, signals: int) -> Lost | None:
-    """Find the value to which a sensor falls back; None without such a value. signals: number of
-    signals tested."""
+    """Find the value that a sensor shows when readings are lost; None without such a value.
+    signals: number of tested signals."""
     table = series.values.reshape(len(series.t), -1)
     first = np.flatnonzero(np.concatenate([[True], (np.diff(table, axis=0) != 0.0).any(axis=1)]))
     if len(first) < 3:
@@ -96,6 +97,7 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
 
 
 def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
-    """True if jumps lead repeatedly to both ends of the range: then they are shocks beyond the
-    range. A sensor falls back to one value only. runs: (N,) of a signal with one component."""
+    """True if jumps lead repeatedly to both ends of the range. Such jumps are shocks beyond the
+    range, because lost readings have one value only. runs: (N,) values of a signal with one
+    component."""
     return all(int((runs[jumps] == end).sum()) > 1 for end in (runs.min(), runs.max()))

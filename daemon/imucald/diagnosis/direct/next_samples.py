@@ -1,12 +1,13 @@
 """Statistics of successive samples that do not depend on road and driver.
 
-Each segment of a drive gives six numbers without a unit. Two of them describe how often a value
-repeats the previous value, or continues the straight line of the two previous values, beyond chance
-for this step and noise. The others describe the tails of the changes, and the share of a change
-that the next change reverses. A road of the next roughness class makes all changes larger and
-leaves these numbers the same. A model file holds the medians over the segments of its drives. A
-change between sensor and log, such as a filter, a filled gap or a held value, shows here and in no
-equation.
+Each segment of a drive gives six numbers without a unit. The first number is the share of values
+that repeat the previous value. The second number is the share of values that continue the straight
+line of the two previous values. Both shares are compared with chance for this step and noise. The
+other four numbers describe the tails of the changes, and the share of a change that the next change
+reverses. A road of the next roughness class enlarges all changes and does not change these numbers.
+A model file contains the medians over the segments of its drives. These numbers show a change
+between sensor and log, such as a filter, a filled gap or a held value. No equation of motion shows
+such a change.
 """
 
 from __future__ import annotations
@@ -34,25 +35,27 @@ from imucald.diagnosis.signals import STANDING_MPS, DriveSignals, Mask
 from imucald.model.model import VehicleModel
 
 SEGMENT_S, SEGMENT_ROWS = 10.0, 15
-"""Length of a segment, and the fewest samples in it."""
+"""Length of a segment [s], and smallest number of samples in a segment."""
 LEAST_SHARE = 0.6
-"""Share of a segment's samples that must be present and recorded in motion."""
+"""Share of a segment's samples that must be present, and share that must be recorded in motion."""
 FEW_SEGMENTS = 4
 SHARE = 0.1
-"""Shares p are compared as arcsin(sqrt(p)), whose scatter does not depend on p; from p = 0 to p =
-0.01 this changes by 0.1."""
+"""Largest difference between two correct drives in a share p, after the conversion arcsin(sqrt(p)).
+The scatter of a converted share does not depend on p. From p = 0 to p = 0.01, the converted share
+changes by 0.1."""
 
 
 @dataclass(frozen=True)
 class Trait:
-    """One of the six numbers. limit: largest difference between two correct drives."""
+    """Description of one of the six numbers. limit: largest difference between two correct
+    drives."""
 
     more: str
     less: str
     limit: float
     unit: str = "in the logarithm"
     of_speed: bool = False
-    """True: also tested for speeds, whose changes depend on the driver."""
+    """True if the number is also tested for speeds, whose changes depend on the driver."""
 
 
 OF_SHARE = "(arcsine of the root of the share)"
@@ -75,12 +78,13 @@ TRAITS = (
     Trait("continues further in the direction of a change",
           "continues less far in the direction of a change", 0.7),
 )  # fmt: skip
-"""The traits in the order of the numbers."""
+"""The descriptions in the order of the six numbers."""
 
 
 def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
-    """Return, by segment length [s] and name, the mean speed of each segment (B,), 0 if speed does
-    not matter, and the exponentials of the numbers (B, 6)."""
+    """Return, by segment length [s] and name, the mean speed of each segment (B,) and the
+    exponentials of the six numbers (B, 6). The mean speed is 0 for signals for which the speed does
+    not matter."""
     made: dict[float, dict[str, list[tuple[Array, Array]]]] = {}
     for drive in drives:
         for signal in signals_of(drive):
@@ -95,7 +99,7 @@ def traits_of(drives: Sequence[DriveSignals]) -> dict[float, Left]:
 def _of_signal(
     signal: Numbers, drive: DriveSignals, period: float, seconds: float
 ) -> tuple[Array, Array]:
-    """(B,) speeds and (B, 6) numbers for the segments of a signal."""
+    """Return the speeds (B,) and the six numbers (B, 6) for the segments of a signal."""
     t, x, n = signal.t, signal.values, signal.is_next
     if len(x) < SEGMENT_ROWS:
         return np.zeros(0), np.zeros((0, len(TRAITS)))
@@ -138,8 +142,8 @@ def _of_signal(
 
 
 def _by_chance(step: float, size: Array) -> Array:
-    """(B,) share of normally distributed values, with a given mean size, that are below half a
-    step."""
+    """Return the share (B,) of normally distributed values that are below half a step. size: (B,)
+    mean size of the values."""
     return np.asarray(erf(step / (2.0 * np.sqrt(np.pi) * size)))
 
 
@@ -148,16 +152,17 @@ def _arcsine(share: Array) -> Array:
 
 
 def follows(drives: Sequence[DriveSignals], stated: VehicleModel) -> Family:
-    """The tests that compare these statistics with those of the model file's own drives."""
+    """Return the tests that compare these numbers with the numbers of the model file's own
+    drives."""
     same = _on_the_files_grid(drives, stated)
     return Family(FOLLOWS_OTHERWISE, lambda name, i: _row(name.split()[2], TRAITS[i], same),
                   FEW_SEGMENTS)  # fmt: skip
 
 
 def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:
-    """Select the signals whose levels have the same spacing as in the file's drives, up to a gain.
-    Signals without a grid in both are also selected. A signal with other levels, for example a
-    rotated one, has another rate of repeats."""
+    """Return the names of the signals whose levels have the same spacing as in the drives of the
+    model file, up to a gain error. Signals without a grid in both are also included. A signal with
+    other levels, for example a rotated signal, has another rate of repeats."""
     same: set[str] = set()
     for drive in drives:
         for signal in signals_of(drive):

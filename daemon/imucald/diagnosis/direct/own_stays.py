@@ -1,10 +1,10 @@
 """Test whether a signal stays at one value longer than it normally does.
 
-At constant speed a signal stays longer than in town, so the lengths of its stays have a heavier
-tail than a geometric distribution. Therefore each stay has its own probability of going on, drawn
-from a beta distribution. The lengths are then beta-geometric (Waring's distribution; Weinberg and
-Gladen 1986) with a tail n^-b. The distribution is nearly geometric if the log shows no heavier
-tail.
+A stay is a run of equal values. At constant speed, a signal stays at a value longer than in town,
+so the lengths of its stays have a heavier tail than a geometric distribution. The model of a stay
+therefore has a probability of going on that is drawn from a beta distribution, once for each stay.
+The lengths then have a beta-geometric distribution (Waring's distribution; Weinberg and Gladen
+1986) with a tail n^-b. The distribution is nearly geometric if the log shows no heavier tail.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ from imucald.core.arrays import Array
 
 Steps = NDArray[np.intp]
 FEW_STAYS = 20
-"""Fewest stays from which the longest stays measure a tail."""
+"""Smallest number of stays for which the tail is also estimated from the longest stays."""
 LONGEST = 0.1
-"""Share of the stays that shows the tail by itself (peaks over a threshold, Pickands 1975)."""
+"""Share of the longest stays for a separate estimate of the tail (peaks over a threshold, Pickands
+1975)."""
 _GRID = (np.arange(40) + 0.5) / 40.0
 _GOES_ON, _ONE_OVER_B = np.meshgrid(_GRID, _GRID, indexing="ij")
 _B = 1.0 / _ONE_OVER_B
-"""b is above 1, so that the mean length of a stay is finite. The prior is uniform in 1/b and in the
-mean probability a/(a + b)."""
+"""Values of b. b is above 1, so that the mean length of a stay is finite. The prior is uniform in
+1/b and in the mean probability a/(a + b)."""
 _A = _GOES_ON / (1.0 - _GOES_ON) * _B
 
 
 def number_as_long(own: Steps, length: int) -> float:
-    """Expected number of a drive's stays that last at least this long. It is the larger of two
-    estimates: from all stays, and from the longest ones.
+    """Return the expected number of a drive's stays that last at least this long. The result is the
+    larger of two estimates: one from all stays, the other from the longest stays.
 
-    own: (M,) lengths [steps, >= 1] of all stays of this drive except the tested one.
-    length: length of the tested stay [steps]. Without other stays the result is 1, since a filter
-    that settles for the first time may stay for any time.
+    own: (M,) lengths [steps, >= 1] of all stays of this drive except the tested stay. length:
+    length of the tested stay [steps]. Without other stays the result is 1, because a filter that
+    settles for the first time may stay for any time.
     """
     if not len(own):
         return 1.0
@@ -47,7 +48,7 @@ def number_as_long(own: Steps, length: int) -> float:
 
 def _beyond(more: Steps, length: int) -> float:
     """Return the expected number as in `number_as_long`, for the part of the stays beyond a
-    threshold, by the posterior of a and b.
+    threshold, from the posterior of a and b.
 
     P(L >= n) = B(a + n, b)/B(a, b), P(L = n) = B(a + n, b + 1)/B(a, b).
     """
@@ -60,17 +61,17 @@ def _beyond(more: Steps, length: int) -> float:
 
 
 def chance_of_change(own: Array, change: float) -> float:
-    """Chance of a change as large as the one that ends a stay, by its rank. own: (M,) other
-    changes."""
+    """Return the chance of a change at least as large as the change that ends a stay, by its rank.
+    own: (M,) other changes."""
     return float((1 + (own >= change).sum()) / (len(own) + 1))
 
 
 def chance_of_any(product: float, count: int, asked: int) -> float:
-    """Chance that any of the tested stays has so small a product of expected number and other
-    chances.
+    """Return the chance that any of the tested stays has such a small product of the expected
+    number and the other chances.
 
     count: number of factors. The first factor is `asked` times the chance of the stay's length. The
-    chances are combined as independent ones (Fisher 1925) and corrected for the number of tested
+    chances are combined as independent chances (Fisher 1925) and corrected for the number of tested
     stays.
     """
     logs = -2.0 * np.log(max(product / asked, 1e-300))

@@ -1,9 +1,11 @@
 """Statistics of a signal's changes from one sample to the next.
 
-A road shakes all axes of a sensor. The size of one axis' changes over 1, 2, 4, ... samples,
-relative to the other axes, depends on vehicle and sensor, which two drives share. A model file
-holds the medians over the segments of its drives, along the vehicle's axes. In every signal small
-changes are more common than large ones, also compared with the changes just before and after.
+A road shakes all axes of a sensor. The first test uses the size of one axis's changes over 1, 2, 4,
+... samples, relative to the other axes. This ratio depends on vehicle and sensor, so it is the same
+in two drives. A model file contains the medians over the segments of its drives, along the
+vehicle's axes. The other tests use the fact that small changes are more common than large changes
+in every signal. Small changes are also more common if each change is divided by the changes just
+before and after it.
 """
 
 from __future__ import annotations
@@ -44,33 +46,35 @@ from imucald.model.model import VehicleModel
 
 TRIADS = ("accel", "gyro")
 ROUGHER = ROAD_CLASS**0.5
-"""Factor by which one axis may differ from the others: half a road class. A rougher road shakes all
-axes."""
+"""Largest factor between the changes of one axis and the changes of the other axes: half a road
+class. A rougher road shakes all axes."""
 SEGMENT_S = 10.0
 LEAST_ROWS, MOVING_SHARE = 100, 0.8
-"""Fewest rows of a segment, and share of them that must be in motion."""
+"""Smallest number of rows of a segment, and share of the rows that must be in motion."""
 BELOW_HALF = 1.0 / 3.0
-"""Share of a pure vibration's changes that are below half of the largest (arcsine distribution).
-All other motions have more."""
+"""Share of the changes that are below half of the largest change, for a pure vibration (arcsine
+distribution). All other motions have a larger share."""
 LEAST_CHANGES, LEAST_CODES, MOST_CODES = 30, 2, 1000
 BESIDE = np.array([1.0] * 6 + [0.0] * 5 + [1.0] * 6)
-"""Changes with which one change is compared: the third to the eighth before and after it. The two
-nearest changes on each side are not used, because a wrong value and a filter after it affect
-them."""
+"""Weights of the neighbouring changes with which a change is compared: the third to the eighth
+change before it and after it. The two nearest changes on each side are not used, because a wrong
+value and a filter after it affect them."""
 LEVELS = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
-"""Sizes of a change in multiples of the rms of the neighbouring changes, in octaves. In normal
-noise, with the rms of twelve changes, one in 500 exceeds the first level (Student)."""
+"""Sizes of a change as multiples of the rms of the neighbouring changes, in octaves. In normal
+noise, with the rms of twelve changes, one change in 500 exceeds the first size (Student's t
+distribution)."""
 ALONE_SHARE = 0.001
-"""Share of a signal's changes that must be jumps. Shocks and stones cause fewer; the same share of
-frames may come twice without a fault (`faults`)."""
+"""Share of a signal's changes that must be jumps. Shocks and stones cause fewer jumps. The same
+share of frames may come twice without a fault (`faults`)."""
 
 
 # against the file --------------------------------------------------------------------------------
 
 
 def changes_of(drives: Sequence[DriveSignals], model: VehicleModel) -> dict[float, Left]:
-    """By segment length [s], axis and rate: (B,) mean speed of each segment, (B, lags) rms of its
-    changes, divided by the geometric mean of the other axes' rms."""
+    """Return, by segment length [s], axis and rate, the mean speed (B,) of each segment and the
+    relative size of its changes (B, lags). The relative size is the rms of the changes, divided by
+    the geometric mean of the other axes' rms."""
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for drive in drives:
         for name in TRIADS:
@@ -124,8 +128,8 @@ def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
 
 
 def _row(name: str, i: int) -> FamilyRow:
-    """Return the row of one number. It is tested in both directions, beyond the effect of a road on
-    one axis."""
+    """Return the test of one number. The number is tested in both directions. A difference that a
+    road can cause on one axis is tolerated."""
     _, _, _, _, rate, _ = name.split()
     lag = counted(LAGS[i], "sample")
     rougher = float(np.log(ROUGHER))
@@ -143,7 +147,7 @@ def _row(name: str, i: int) -> FamilyRow:
 
 
 CHANGES = Family(CHANGES_OTHERWISE, _row)
-"""Size of the axes' changes over several samples (`changes_of`)."""
+"""Tests of the size of an axis's changes over several samples (`changes_of`)."""
 
 
 # without a file ----------------------------------------------------------------------------------
@@ -155,13 +159,15 @@ def changes_missing(drives: Sequence[DriveSignals]) -> list[Question]:
 
 
 def stays_until_off(name: str, channel: Channel) -> bool:
-    """True if a signal is sent on change: then a constant value is not stuck."""
+    """True if a signal is sent on change. A constant value of such a signal is not stuck."""
     asked = [q for signal in numbers_of(name, channel) for q in _missing(signal)]
     return bool(beyond_chance(asked))
 
 
 def _missing(signal: Numbers) -> Iterator[Question]:
-    """Of all changes up to twice a size, at least a third must be below that size. All sizes are
+    """Test one signal for missing small changes.
+
+    Of all changes up to twice a size, at least a third must be below this size. All sizes are
     tested, and the chance is multiplied by their number."""
     step = step_of(levels_of(signal.values))
     changes = np.abs(np.diff(signal.values)[signal.is_next])
@@ -195,10 +201,13 @@ def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
 
 
 def _alone(signal: Numbers) -> Iterator[Question]:
-    """Of the changes that exceed their neighbours by some factor, at most a quarter exceed them by
-    twice the factor, because the tails of a distribution with a variance fall faster than 1/x^2. A
-    shock from the road vibrates on, so its neighbours are large too. Every pair of factors is
-    tested, and the chance is multiplied by their number."""
+    """Test one signal for single jumps.
+
+    Consider the changes that are larger than their neighbours by some factor. At most a quarter of
+    these changes are larger by twice the factor, because the tails of a distribution with a finite
+    variance fall faster than 1/x^2. After a shock from the road, the vibration continues, so the
+    neighbours of a shock are large too. Every pair of factors is tested, and the chance is
+    multiplied by the number of pairs."""
     changes, times = _beside(signal)
     # A wrong value causes a jump there and one back: it counts once.
     times = times[times == maximum_filter1d(times, len(BESIDE), mode="constant")]
@@ -221,9 +230,9 @@ def _alone(signal: Numbers) -> Iterator[Question]:
 
 
 def _beside(signal: Numbers) -> tuple[Array, Array]:
-    """(N,) changes between different values, and their ratio to the rms of the neighbouring
-    changes. That rms is at least the signal's noise or step. Speeds below 1 km/h are left out,
-    because a speed leaves zero by a jump (dead band)."""
+    """Return the changes (N,) between different values, and the ratio (N,) of their size to the rms
+    of the neighbouring changes. This rms is at least the signal's noise or step. Speeds below 1
+    km/h are left out, because a speed leaves zero with a jump (dead band)."""
     new = np.flatnonzero(np.concatenate([[True], np.diff(signal.values) != 0.0]))
     gaps = np.concatenate([[0], np.cumsum(~signal.is_next)])[new]
     x = signal.values[new]

@@ -9,17 +9,19 @@ import numpy as np
 from imucald.core.arrays import Array
 
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
-"""A cycle is known if most stamps are near it, scatter little and do not drift away from it. A unit
-that is asked for each value (OBD-II) has no cycle."""
+"""Conditions for a known cycle time: most time stamps are near the cycle, scatter little and do not
+drift away from it. A unit that answers requests (OBD-II) has no cycle time."""
 ADDED_UP = 0.5
-"""Limit of the variance of a sum of many steps over the sum of their variances (variance ratio; Lo
-and MacKinlay 1988). The ratio is 1 if each step begins when the one before ends (a new request
-after each answer), and near 0 if a clock triggers the frames."""
+"""Limit of the variance ratio: variance of a sum of many steps divided by the sum of their
+variances (Lo and MacKinlay 1988). The ratio is 1 if each step begins when the previous step ends (a
+new request after each answer). The ratio is near 0 if a clock triggers the frames."""
 LOCKS, NEIGHBOURS = 4, 50
-"""Number of neighbouring stamps with a common phase. Over these, an error of 1 % in the cycle moves
-the phase by at most half a cycle."""
+"""`NEIGHBOURS` is the number of neighbouring time stamps with a common phase. Over these time
+stamps, an error of 1 % in the cycle time moves the phase by at most half a cycle. `LOCKS` is the
+number of iterations."""
 PARTS = 8
-"""Number of parts of a drive; the scatter of their slopes gives the accuracy of the whole slope."""
+"""Number of parts of a drive. The scatter of the slopes in these parts gives the accuracy of the
+slope in the whole drive."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +32,18 @@ class Clock:
     se: float
     """Relative standard deviation of the cycle time."""
     steps: Array
-    """(N - 1,) cycles between frames."""
+    """Number of cycles between successive frames (N - 1,)."""
     is_steady: bool
-    """True if stamps follow the cycle over the whole drive. Lost frames show even if the logger's
-    clock wanders."""
+    """True if the time stamps follow the cycle over the whole drive. Lost frames are also visible
+    if the clock of the logger wanders."""
 
 
 def clock_of(t: Array) -> Clock | None:
-    """Estimate the cycle time from stamps t (N,) [s], by a straight line over the frame numbers;
-    None without a clear cycle. The median of the steps is not the cycle if frames are lost: it then
-    lies at another quantile of the jitter."""
+    """Estimate the cycle time from time stamps t (N,) [s], with a straight line over the frame
+    numbers. None without a clear cycle.
+
+    If frames are lost, the median of the steps is not the cycle time, because it is then another
+    quantile of the jitter."""
     steps = np.diff(t)
     if len(steps) < 50:
         return None
@@ -65,8 +69,8 @@ def clock_of(t: Array) -> Clock | None:
 
 
 def _adds_up(steps: Array, cycle: float) -> bool:
-    """True if delays add up from frame to frame: then no clock triggers the frames, and the mean
-    step is no clock's cycle. steps: (N,) [s]."""
+    """True if delays add up from frame to frame. No clock then triggers the frames, and the mean
+    step is not the cycle time of a clock. steps: (N,) [s]."""
     late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
     late = late[np.abs(late) < NEAR_SHARE * cycle]
     late = late - late.mean()
@@ -77,10 +81,11 @@ def _adds_up(steps: Array, cycle: float) -> bool:
 
 
 def _counted(at: Array, cycle: float) -> Array:
-    """(N,) whole cycles since the first frame. at: (N,) stamps [s], with one at 0.
+    """Return the number of whole cycles since the first frame (N,). at: (N,) time stamps [s]; the
+    first is 0.
 
-    Each stamp is counted from the phase of its neighbours (circular mean), which moves slowly. If
-    each step were rounded by itself, two late frames could lose a cycle permanently.
+    Each time stamp is counted from the phase of its neighbours (circular mean), which moves slowly.
+    If each step were rounded separately, two late frames could lose a cycle permanently.
     """
     share = at / cycle
     first = np.arange(0, len(at), NEIGHBOURS)

@@ -1,6 +1,6 @@
-"""Find slow signals that are stuck: frames come, but their value does not change.
+"""Find slow signals that are stuck: frames are received, but their value does not change.
 
-`motion.recorded_health` judges sensors, whose noise always changes their values.
+`motion.recorded_health` tests sensors, whose values always change because of noise.
 """
 
 from __future__ import annotations
@@ -28,13 +28,14 @@ Index = NDArray[np.intp]
 MOVING_MPS = 2.0
 STUCK = "stuck_signal"
 STUCK_S, STUCK_RUNS = 8.0, 4.0
-"""Shortest time that counts as stuck for a signal that may keep its value. The time must also be
-STUCK_RUNS times the usual stay, or too long for chance (`own_stays`)."""
+"""Shortest time [s] that counts as stuck for a signal that may keep its value. The time must also
+be STUCK_RUNS times the usual stay, or too long for chance (`own_stays`)."""
 FEW_OTHERS = 3
 CHANCE = 0.01
 """Chance of a false finding for each slow signal of a drive without faults."""
 PARTNER_SHARE = 0.5
-"""A slow signal is stuck if other signals go on moving by this share of their usual spread."""
+"""Share of their usual spread by which other signals must go on moving while a slow signal is
+stuck."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,19 @@ class Fault:
     cause: str
     signal: str
     values: Mapping[str, tuple[float, float, str]]
-    """By key: value, deviation, unit."""
+    """Value, deviation and unit, by key."""
     text: str
     changes: Mapping[str, Any]
     """Changes of the model file that state the fault."""
     spans: Spans = ()
     """Intervals of time [s] that must not be used."""
     score: float = 50.0
-    """Evidence [nats], if it is known."""
+    """Evidence [nats], if known."""
     held: Spans = ()
-    """At a rail, the samples on the rail only, without the margin about them."""
+    """At the end of a range: the samples with the end value, without the margin around them."""
     against: tuple[str, ...] = ()
-    """Arguments against the fault, in sentences: with any, it is likely and not certain."""
+    """Arguments against the fault, as sentences. A fault with such an argument is likely and not
+    certain."""
 
 
 def stuck(
@@ -64,8 +66,10 @@ def stuck(
     samples: Samples,
     moving: tuple[Array, Array],
 ) -> Iterator[Fault]:
-    """Find intervals with one constant value while the vehicle moves, of a signal that may keep its
-    value for seconds: speed, steering angle. Zeros at rest are normal."""
+    """Yield a fault if a slow signal has intervals with one constant value while the vehicle moves.
+
+    Slow signals are signals that may keep their value for seconds: speed, steering angle. Zeros at
+    rest are normal."""
     t, table = series.t, series.values.reshape(len(series.t), -1)
     same = (np.diff(table, axis=0) == 0.0).all(axis=1)
     first, last = true_runs(same).T
@@ -98,7 +102,7 @@ def stuck(
 
 
 def stuck_fault(name: str, spans: Sequence[tuple[float, float]]) -> Fault:
-    """The fault of a signal that repeats one value in these intervals of time [s]."""
+    """Return the fault of a signal that repeats one value in these intervals of time [s]."""
     total = sum(b - a for a, b in spans)
     gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
     least = 1.0 if name in INERTIAL else STUCK_S
@@ -111,21 +115,22 @@ def stuck_fault(name: str, spans: Sequence[tuple[float, float]]) -> Fault:
 
 
 def _usual(length: Array) -> float:
-    """Return the length of stay that 99 % of the stays do not exceed. Few stays give no measure of
-    this length."""
+    """Return the length of stay that 99 % of the stays do not exceed; 0 if there are too few
+    stays."""
     length = length[length > 0.0]
     return float(np.quantile(length, 0.99, method="lower")) if len(length) > FEW_STAYS else 0.0
 
 
 def _usual_of(values: Array, length: Array, k: int) -> float:
-    """Return the same length for stays at the held value only. A value that a sensor shows
-    repeatedly for some time (a dead zone, a default) is no sign of a stuck sensor."""
+    """Return the length that 99 % of the stays at the same value do not exceed. If a sensor
+    repeatedly shows a value for some time (a dead zone, a default value), this value is no evidence
+    of a stuck sensor."""
     return _usual(length[(values == values[k]).all(axis=1)])
 
 
 def is_shown_often(series: Series, span: tuple[float, float]) -> bool:
-    """Return whether most other stays of a signal have the same value as an interval of time: then
-    it is a dead zone, and nothing is stuck."""
+    """Return whether most other stays of a signal have the same value as an interval of time. The
+    value is then a dead zone, and the signal is not stuck."""
     t, table = series.t, series.values.reshape(len(series.t), -1)
     first = true_runs((np.diff(table, axis=0) == 0.0).all(axis=1))[:, 0]
     inside = (t >= span[0]) & (t <= span[1])
@@ -136,12 +141,12 @@ def is_shown_often(series: Series, span: tuple[float, float]) -> bool:
 
 
 def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt: Array) -> Array:
-    """(S,) chance that any stay of a healthy slow signal x (N,) is as unusual as this one: as long,
-    ending with as large a change, and contradicted as strongly by the inertial sensors. 1 for stays
-    that are not tested.
+    """Return the chance (S,) that any stay of a healthy slow signal x (N,) is as unusual as this
+    stay. 1 for stays that are not tested.
 
-    last: rows at which stays end; length: of each while driving [s]; felt: chance by the inertial
-    sensors, NaN if they show nothing.
+    A stay is unusual if it is long, ends with a large change, and contradicts the inertial sensors.
+    last: rows at which the stays end. length: length of each stay while driving [s]. felt: chance
+    of each stay by the inertial sensors; NaN if they give no evidence.
     """
     made = np.ones(len(length))
     if not len(asked):

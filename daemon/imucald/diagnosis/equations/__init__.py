@@ -1,7 +1,7 @@
 """Predict the signals of a drive from each other by physics alone.
 
-`reading` reads a drive with a model file. `motion` evaluates the equations; their parts stand in
-`kinematics` and `single_track`. `forward` gives the residuals and their columns block by block.
-Nothing here uses statistics. Modules here use `signals`, `causes` and `cause_keys`. All other
-modules of `diagnosis` may call them.
+`reading` reads a drive with a model file. `motion` evaluates the equations. Parts of the equations
+are in `kinematics` and `single_track`. `forward` returns the residuals and their columns block by
+block. This package uses no statistics. The modules of this package use `signals`, `causes` and
+`cause_keys`. All other modules of `diagnosis` may call this package.
 """

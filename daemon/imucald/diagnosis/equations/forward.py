@@ -1,9 +1,9 @@
 """Residuals of a drive against a model file, block by block: physics without statistics.
 
-Each equation (see `motion`) is a residual, measured minus predicted, on the grid. A column of a fit
-is the change of the residual with a parameter, found by another evaluation. For columns, the slope
-of the speed is the best mean of speed and accelerometer, and the sideways force is the predicted
-one. No column therefore correlates with the noise of its own equation.
+Each equation (see `motion`) gives a residual, measured minus predicted, on the time grid. A column
+of a fit is the change of the residual with a parameter, computed by a second evaluation. For
+columns, the slope of the speed is the best mean of speed and accelerometer, and the sideways force
+is the predicted force. A column therefore does not correlate with the noise of its own equation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from imucald.diagnosis.equations.single_track import SLOW_MPS
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 
 STOPPING_MPS2 = 3.4
-"""Most drivers brake no harder than this (AASHTO, Green Book: stopping sight distance)."""
+"""Deceleration that most drivers do not exceed [m/s^2] (AASHTO, Green Book: stopping sight
+distance)."""
 UNITS: Mapping[str, str] = {
     **{channel: row.unit for channel, row in QUANTITIES.items()},
     **{f"{name}_{axis}": QUANTITIES[name].unit for name in ("accel", "gyro") for axis in "xyz"},
@@ -33,11 +34,12 @@ UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Residuals:
-    """One evaluation. Arrays (B, n): B blocks with n rows each."""
+    """Result of one evaluation. Arrays are (B, n): B blocks with n rows each."""
 
     of: Mapping[str, Array]
     tilt: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    """For an equation that contains gravity: its change with the two parts of z0."""
+    """For each equation that contains gravity: the change of its residual with the two parts of the
+    tilt z0."""
 
 
 class Forward(Reader):
@@ -48,10 +50,10 @@ class Forward(Reader):
     def residuals(
         self, changes: Changes, by_inertia: bool = False, added: Mapping[str, Array] = NONE
     ) -> Residuals:
-        """Measured minus predicted, for every available equation, with a changed model file.
+        """Return measured minus predicted, for every available equation, with a changed model file.
 
-        by_inertia: for columns, with the signals of `settle`. added: by signal, an error added to
-        it, (N,) or (N, 3) along the vehicle's axes.
+        by_inertia: evaluate for columns, with the signals of `settle`. added: for each signal, an
+        error that is added to the signal, (N,) or (N, 3) along the vehicle's axes.
         """
         motion = VehicleMotion(self, changes, by_inertia, added)
         found: dict[str, Array] = {}
@@ -69,18 +71,19 @@ class Forward(Reader):
         return x.reshape(self.blocks, self.rows)
 
     def settle(self, tilt: Array, inertial: Array) -> None:
-        """Choose the signals for the columns. tilt: (B, 2) z0 of each block. inertial: (B,) share
-        of the accelerometer in the slope of the speed."""
+        """Choose the signals for the columns. tilt: (B, 2) tilt z0 of each block. inertial: (B,)
+        share of the accelerometer in the slope of the speed."""
         self.reference = VehicleMotion(self, {}, False).reference(tilt, inertial)
 
     def inertial_share(
         self, base: Residuals, masks: Mapping[str, Mask], top_hz: float, tilt: Array
     ) -> Array:
-        """(B,) share of the accelerometer in the best slope of the speed: the variance of the
-        speed's own noise, divided by the variance of the difference of both, up to a frequency.
+        """Return the share (B,) of the accelerometer in the best slope of the speed.
 
-        The best mean of two measurements is uncorrelated with their difference; the equation
-        contains that difference. tilt: (B, 2) of each block, by `tilts`.
+        The share is the variance of the speed's own noise, divided by the variance of the
+        difference between speed and accelerometer, up to a frequency. The best mean of two
+        measurements is uncorrelated with their difference, and the equation contains this
+        difference. tilt: (B, 2) tilt of each block, from `tilts`.
         """
         if "accel_x" not in base.of or self.rows < 1:
             return np.ones(self.blocks)
@@ -91,7 +94,7 @@ class Forward(Reader):
         return np.asarray(np.clip(noise / np.maximum(power, 1e-30), 0.0, 1.0))
 
     def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
-        """(B, 2) tilt of each block by plain least squares."""
+        """Return the tilt (B, 2) of each block by plain least squares."""
         tilt = np.zeros((self.blocks, 2))
         for b in range(self.blocks):
             rows, values = [], []
@@ -105,15 +108,16 @@ class Forward(Reader):
         return tilt
 
     def level(self, found: Residuals, masks: Mapping[str, Mask]) -> dict[str, Array]:
-        """Residuals (B, n) with the tilt of each block removed."""
+        """Return the residuals (B, n) with the tilt of each block removed."""
         return _without(found, self.tilts(found, masks))
 
     def yaw_rate(self) -> Array:
-        """(N,) yaw rate of the vehicle that the equations use [rad/s]."""
+        """Return the yaw rate (N,) of the vehicle that the equations use [rad/s]."""
         return np.asarray(VehicleMotion(self, {}, False).r)
 
     def measured(self) -> dict[str, Array]:
-        """Measured signal of each equation, with the model file's errors removed."""
+        """Return the measured signal of each equation, without the errors that the model file
+        states."""
         m = VehicleMotion(self, {}, False)
         found = {f"accel_{axis}": x for axis, x in zip("xyz", m.force, strict=True)}
         found["accel_x"] = m.as_speed_sees(m.force[0])
@@ -128,7 +132,7 @@ class Forward(Reader):
         return found
 
     def levels(self) -> Array:
-        """(B, 2) mean of u over each block from the forces, without gravity carried by the
+        """Return the mean of u (B, 2) over each block, computed from the forces instead of the
         gyroscope."""
         motion = VehicleMotion(self, {}, False)
         x = motion.force[0] + motion.r * motion.v_y - motion.held(motion.slopes)
@@ -137,7 +141,8 @@ class Forward(Reader):
         return np.column_stack(means)
 
     def usable(self) -> dict[str, Mask]:
-        """(B, n) rows of each equation in which all of its signals were present."""
+        """Return the rows (B, n) of each equation in which all signals of the equation were
+        present."""
         there = {
             name: channel.present(self.t + self._age_or_0(name))
             for name, channel in self.drive.channels.items()
@@ -166,7 +171,7 @@ class Forward(Reader):
         return age(self.model, name) if hasattr(getattr(self.model, name, None), "delay_s") else 0.0
 
     def _knots_inside(self) -> Mask:
-        """Return which rows lie between two knots of the speed in the same block."""
+        """Return flags of the rows that are between two knots of the speed in the same block."""
         late = age(self.model, "speed") + self.model.speed.delay_rate * self.knots
         knots = self.knots - late
         index = np.searchsorted(knots, self.t)
@@ -180,8 +185,9 @@ class Forward(Reader):
         return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
 
     def _starts_or_stops(self) -> Mask:
-        """Return the rows in which the speed leaves or reaches zero by a jump. Speeds below about
-        0.3 m/s are not measured (dead band), and such a jump is no acceleration of the vehicle."""
+        """Return flags of the rows in which the speed jumps from zero or to zero. Speeds below
+        about 0.3 m/s are not measured (dead band), so such a jump is not an acceleration of the
+        vehicle."""
         speed = self.drive.channels["speed"]
         size = np.abs(speed.values)
         stands, step = size < STANDING_MPS, np.abs(np.diff(size))
@@ -206,9 +212,9 @@ def _without(found: Residuals, tilt: Array) -> dict[str, Array]:
 
 
 def _slope_noise(knots: Channel, top_hz: float) -> float:
-    """Upper limit of the mean square slope, up to a frequency, that comes from white noise of the
-    speed [m^2/s^4]. A second difference contains the noise variance six times, and also the
-    vehicle's jerk."""
+    """Return an upper limit of the mean square slope of the speed that comes from white noise, up
+    to a frequency [m^2/s^4]. A second difference contains six times the noise variance, and also
+    the vehicle's jerk."""
     power = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
     # A spectrum of 2 s^2 T, times (2 pi f)^2, up to top_hz.
     return 2.0 * power * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0

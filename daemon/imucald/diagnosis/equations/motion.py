@@ -1,14 +1,15 @@
 """The equations of one drive, which predict its signals from each other.
 
-Gravity is carried by the gyroscope. In a block, with vehicle axes x forward, y left, z up, rates w
-and heading psi, the horizontal part u = u_x + i u_y of the vertical in the body obeys
+The direction of gravity is integrated with the gyroscope. The vehicle axes are x forward, y left, z
+up, the rates are w, the heading is psi. In a block, the horizontal part u = u_x + i u_y of the
+vertical in vehicle axes obeys
 u' = -w_y + i w_x - i w_z u (Wu et al. 2011, to first order in the tilt):
 
     u(t) = e^(-i psi) (z0 + integral of e^(i psi) (-w_y + i w_x) dt)
     f_x = dv/dt - r v_y + g u_x,   f_y = v r + dv_y/dt + g u_y,   v_y = l_r r - kappa v |v| r
 
-The tilt z0 at the middle of the block is a free parameter, so slope, cross fall and lean need not
-be known.
+The tilt z0 at the middle of the block is a free parameter, so slope, cross fall and body lean need
+not be known.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ NONE: Mapping[str, Array] = {}
 class VehicleMotion:
     """The signals of one evaluation, along the vehicle's axes.
 
-    added: by signal, an error added to the measured values, (N,) or (N, 3) along the vehicle's
-    axes. Signals that the changes do not affect stay the same array objects: see `Once`.
+    added: for each signal, an error that is added to the measured values, (N,) or (N, 3) along the
+    vehicle's axes. Signals that the changes do not affect stay the same array objects, see `Once`.
     """
 
     def __init__(
@@ -99,29 +100,32 @@ class VehicleMotion:
     # operators -----------------------------------------------------------------------------------
 
     def _mean_slopes(self, x: Array) -> Array:
-        """Mean of x between each two knots of the speed, because a speed shows the mean
+        """Return the mean of x between successive knots of the speed. A speed shows the mean
         acceleration between its knots."""
         return self.once(kinematics.between_knots, x, self.knots, self.f.t)
 
     def held(self, slopes: Array) -> Array:
-        """Values between each two knots, held on the grid."""
+        """Return values between successive knots as values on the grid, constant between two
+        knots."""
         return self.once(np.take, slopes, self.once(kinematics.step_of, self.knots, self.f.t))
 
     def as_speed_sees(self, x: Array) -> Array:
-        """Means of x between two knots of the speed, on the grid."""
+        """Return the means of x between successive knots of the speed, on the grid."""
         return self.held(self._mean_slopes(x))
 
     def _gravity(self) -> tuple[Complex, Complex]:
-        """u for z0 = 0, and e^(-i psi), the factor of z0; complex (N,), by blocks."""
+        """Return u (N,) for z0 = 0, and e^(-i psi) (N,), which is the factor of z0. Both arrays are
+        complex and computed block by block."""
         assert self.rate is not None
         p, q, r = self.rate
         turned, back = self.once(kinematics.turned, r, self.f.rows)
         return self.once(kinematics.carried, p, q, turned), back
 
     def reference(self, tilt: Array, inertial: Array) -> Reference:
-        """Signals for columns, with the tilt (B, 2) of each block. inertial: (B,) share of the
-        accelerometer in the slope of the speed; 1 where the vehicle hardly moves and speeds jump to
-        0."""
+        """Return the signals for columns, with the tilt (B, 2) of each block.
+
+        inertial: (B,) share of the accelerometer in the slope of the speed. The share is 1 where
+        the vehicle hardly moves, because a measured speed jumps to 0 there."""
         f, force = self.f, np.column_stack(self.force)
         x = force[:, 0]
         if self.f.has_turning:
@@ -146,7 +150,8 @@ class VehicleMotion:
     # equations -----------------------------------------------------------------------------------
 
     def longitudinal(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
-        """Residual of forward force against the speed's slope. Columns use the tilt of the base."""
+        """Compute the residual of the forward force against the slope of the speed. Columns use the
+        tilt of the evaluation without changes."""
         f, u = self.f, None
         if self.rate is None:
             one = np.ones(len(f.t))
@@ -171,7 +176,7 @@ class VehicleMotion:
         return self.once(np.subtract, first, second)
 
     def lateral(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
-        """Residual of sideways force against speed times yaw rate."""
+        """Compute the residual of the sideways force against speed times yaw rate."""
         u = None
         if self.rate is None:
             one = np.ones(len(self.f.t))
@@ -183,14 +188,15 @@ class VehicleMotion:
         found["accel_y"] = self.once(kinematics.across, self.force[1], self.v, self.r, self.v_y, u)
 
     def vertical(self, found: dict[str, Array]) -> None:
-        """Residual of upward force; on a vertical curve the vehicle pitches with the road."""
+        """Compute the residual of the upward force. On a vertical curve, the vehicle pitches with
+        the road."""
         assert self.rate is not None
         if not self.f.drive.planar:
             found["accel_z"] = self.once(kinematics.upward, self.force[2], self.v, self.rate[1])
 
     def turning(self, found: dict[str, Array]) -> None:
-        """Residuals of roll and pitch rate: the part of the springs is known, that of the road is
-        noise."""
+        """Compute the residuals of roll rate and pitch rate. The effect of the springs is known,
+        and the effect of the road is noise."""
         assert self.measured is not None
         s, c, t, once = self.f.model.suspension, self.changes, self.f.t, self.once
         # Only motion is used, because gravity's part of the force changes with the rates
@@ -212,7 +218,7 @@ class VehicleMotion:
             found["gyro_z"] = self._apart(self._turning(true), self._own_yaw_rate(true))
 
     def vehicle(self, found: dict[str, Array]) -> None:
-        """Residuals of the vehicle's own sensors, compared with each other."""
+        """Compute the residuals of the vehicle's own sensors, compared with each other."""
         f, drive = self.f, self.f.drive
         if drive.has("lateral_accel") and self.f.has_turning:
             found["lateral_accel"] = self._felt("lateral_accel", 1)
@@ -228,7 +234,7 @@ class VehicleMotion:
             found["yaw_rate"] = self._apart(self.yaw_rate(), self._by_steering())
 
     def yaw_rate(self) -> Array:
-        """The vehicle's own yaw rate, else the gyroscope's [rad/s]."""
+        """Return the vehicle's own yaw rate, or else the yaw rate of the gyroscope [rad/s]."""
         true, s = None, self.settled
         if s is not None and s.steered is not None:
             # If each gain's column used its own signal, the difference of two columns would be the
@@ -239,19 +245,21 @@ class VehicleMotion:
         return self._turning(true)
 
     def _own_yaw_rate(self, true: Array | None) -> Array:
-        """The vehicle's own yaw rate. true: (N, 3) angular rate that replaces it."""
+        """Return the vehicle's own yaw rate. true: (N, 3) angular rate that replaces the measured
+        rate."""
         z = None if true is None else self.once(kinematics.column, true, 2)
         return self._scalar("yaw_rate", z)
 
     def _turning(self, true: Array | None) -> Array:
-        """The gyroscope's yaw rate. true: (N, 3) angular rate that replaces it."""
+        """Return the yaw rate of the gyroscope. true: (N, 3) angular rate that replaces the
+        measured rate."""
         if true is None:
             return np.asarray(self.r)
         return self.f.triad("gyro", self.changes, true)[2]
 
     def _felt(self, name: str, axis: int) -> Array:
-        """Acceleration of the vehicle's own sensor minus the force; columns use the force of
-        `settle`."""
+        """Return the acceleration from the vehicle's own sensor minus the force. Columns use the
+        force of `settle`."""
         force = (
             None if self.settled is None else self.once(kinematics.column, self.settled.force, axis)
         )
@@ -259,9 +267,9 @@ class VehicleMotion:
         return self._apart(own, self.force[axis])
 
     def _by_steering(self) -> Array:
-        """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the steering
-        angle that the vehicle has followed so far (Rajamani, Vehicle Dynamics and Control, ch. 2,
-        3)."""
+        """Return the yaw rate of the single-track model: r = v (delta - K (f_y - v r))/(L + K v^2).
+        delta is the steering angle that the vehicle has followed so far (Rajamani, Vehicle Dynamics
+        and Control, ch. 2, 3)."""
         c, once = self.f.model.chassis, self.once
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
@@ -277,10 +285,11 @@ class VehicleMotion:
         return followed_angle(steer, speed, chassis, gradient, self.once)
 
     def _leaning(self) -> Array:
-        """Sideways force from the road's lean [m/s^2].
+        """Return the sideways force from the road's lean [m/s^2].
 
-        The lean acts through the understeer gradient, which is not known to 10 %. Zeros and the
-        mount therefore change it, but gains must not be estimated from it.
+        The lean acts on the yaw rate through the understeer gradient, which is not known to 10 %.
+        The lean therefore changes with zero errors and with the mount, but gains must not be
+        estimated from it.
         """
         if self.settled is None:
             return self.once(kinematics.left_of_turn, self.force[1], self.v, self.r)
@@ -290,6 +299,7 @@ class VehicleMotion:
 
 
 def _more(axes: Axes, added: Array) -> Axes:
-    """Axes plus `added` (N, 3); an axis without an addition stays the same array object."""
+    """Return the axes plus `added` (N, 3). An axis without an addition stays the same array
+    object."""
     x, y, z = (c + a if a.any() else c for c, a in zip(axes, added.T, strict=True))
     return x, y, z

@@ -1,6 +1,6 @@
 """Reuse results of functions that are called repeatedly with the same inputs.
 
-A column of a fit is an evaluation with one changed number; most of its signals stay the same.
+A column of a fit is an evaluation with one changed number. Most of its signals stay the same.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
 class Once:
     """Calls a function, unless its result for these inputs is already known.
 
-    Inputs are the same if arrays are the same objects and all other inputs are equal. The function
-    must therefore depend on its inputs alone. Stored arrays must not change, so they are made
-    read-only. keeps: True keeps new results in `known`, False only as long as this object lives.
+    Inputs are the same if arrays are the same objects and all other inputs are equal. The result of
+    the function must therefore depend on its inputs only. Stored arrays must not change, so they
+    are made read-only. keeps: if True, new results are stored in `known`. If False, new results are
+    stored only as long as this object exists.
     """
 
     def __init__(self, known: Known, keeps: bool) -> None:
@@ -27,7 +28,7 @@ class Once:
         self._new = known if keeps else {}
 
     def __call__(self, make: Callable[..., T], *inputs: Any) -> T:
-        """Result of `make` for these inputs; functions are identified by their names."""
+        """Return the result of `make` for these inputs. Functions are identified by their names."""
         key = (make.__name__, *((id(x),) if isinstance(x, np.ndarray) else x for x in inputs))
         found = self._known.get(key) or self._new.get(key)
         if found is not None:

@@ -1,4 +1,5 @@
-"""Read one drive with a model file: each signal at its age, with its known errors removed."""
+"""Read one drive with a model file: each signal is shifted by its age, and its known errors are
+removed."""
 
 from __future__ import annotations
 
@@ -18,12 +19,12 @@ from imucald.model.model import VehicleModel
 
 REFERENCE_DEGC = 25.0
 Part = tuple[tuple[str, float], ...]
-"""Changes, as items."""
+"""Changes, as pairs of key and value."""
 OF_TRIAD = {
     "accel": ("accel.", "mount.turn."),
     "gyro": ("gyro.", "mount.turn.", "accel.delay_s"),
 }
-"""Beginnings of keys that change the values of a triad."""
+"""Beginnings of the keys that change the values of a triad."""
 
 
 @dataclass(frozen=True)
@@ -31,20 +32,22 @@ class Reference:
     """Signals for columns, each without the noise of its own equation."""
 
     slopes: Array
-    """Slopes of the speed between its knots, from speed and accelerometer."""
+    """Slopes of the speed between successive knots, from speed and accelerometer."""
     force: Array
-    """(N, 3) along the vehicle: forward by speed and accelerometer, sideways as predicted, upward
-    gravity."""
+    """Force (N, 3) along the vehicle's axes: forward from speed and accelerometer, sideways as
+    predicted, upward gravity."""
     leaning: Array
-    """(N,) measured sideways force minus speed times yaw rate: the force that leans the vehicle."""
+    """Measured sideways force minus speed times yaw rate (N,): the force that makes the vehicle
+    lean."""
     rate: Array | None = None
-    """(N, 3) angular rate; its vertical component is the vehicle's own yaw rate if there is one."""
+    """Angular rate (N, 3). The vertical component of the angular rate is the vehicle's own yaw rate
+    if there is such a signal."""
     steered: Array | None = None
-    """(N,) yaw rate by the steering angle."""
+    """Yaw rate (N,) from the steering angle."""
 
 
 class Reader:
-    """Signals of a drive on its grid, block by block; arrays (N,) or (N, 3)."""
+    """Signals of a drive on its time grid, block by block. Arrays are (N,) or (N, 3)."""
 
     def __init__(self, drive: DriveSignals, model: VehicleModel, rows: int) -> None:
         self.drive, self.model = drive, model
@@ -61,44 +64,45 @@ class Reader:
         self.reference: Reference | None = None
 
     def forget(self) -> None:
-        """Delete the signals to free memory; they are read again when needed."""
+        """Delete the signals to free memory. The signals are read again when needed."""
         self._read.clear()
         self.known.clear()
         self.reference = None
 
     def amount_of_speed(self) -> Array:
-        """(N,) indicated speed without its sign [m/s]."""
+        """Return the absolute value of the indicated speed (N,) [m/s]."""
         return np.interp(self.t, self.knots, np.abs(self.drive.knots.values))
 
     def raw(self, name: str, later: float) -> Array:
-        """Means over the grid's step, read `later` seconds later."""
+        """Return the means of a signal over the grid step, read `later` seconds later."""
         key = (name, round(later, 6))
         if key not in self._read:
             self._read[key] = self.drive.channels[name].means(self.t + later)
         return self._read[key]
 
     def age(self, name: str, changes: Changes) -> float:
-        """Age of a signal when its frame comes [s]."""
+        """Return the age of a signal when its frame is received [s]."""
         return age(self.model, name) + changes.get(f"{name}.delay_s", 0.0)
 
     def knots_at(self, late: float, rate: float) -> Array:
-        """Times of the speed's knots. late: its delay [s]. rate: growth of the delay."""
+        """Return the times of the speed's knots. late: delay of the speed [s]. rate: growth of this
+        delay per second."""
         age = late + self.model.speed.delay_rate * self.knots
         age += rate * (self.knots - self.middle_s)
         return np.asarray(self.knots - age)
 
     def triad(self, name: str, changes: Changes, force: Array | None = None) -> Axes:
-        """(N,) along each of the vehicle's axes, with the model file's errors removed. An axis that
-        the changes do not affect stays the same array object.
+        """Return the components (N,) along the vehicle's axes, without the errors that the model
+        file states. An axis that the changes do not affect stays the same array object.
 
-        force: (N, 3) along the vehicle's axes that replaces the measured values; it has none of the
-        file's errors.
+        force: (N, 3) along the vehicle's axes; it replaces the measured values and has no errors.
         """
         own = _part(changes, OF_TRIAD[name])
         return Once(self.known, not own)(self._triad, name, own, force)
 
     def _triad(self, name: str, own: Part, force: Array | None) -> Axes:
-        """As `_with_its_zero`, minus the zero error of the changes, along the vehicle."""
+        """Return the result of `_with_its_zero` along the vehicle's axes, minus the changes of the
+        zero error."""
         zero = (f"{name}.bias.", f"{name}.bias_temperature.")
         others = tuple((key, x) for key, x in own if not key.startswith(zero))
         once = Once(self.known, not others)
@@ -115,7 +119,8 @@ class Reader:
         return made[0], made[1], made[2]
 
     def _with_its_zero(self, name: str, own: Part, force: Array | None) -> Array:
-        """The triad by the model file, with all changes except those of its zero."""
+        """Return the triad according to the model file, with all changes except changes of its zero
+        error."""
         changes = dict(own)
         sensor = sensor_of(self.model, name, changes)
         if force is None:
@@ -142,7 +147,7 @@ class Reader:
 
     def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
         """Multiply x (N, 3) by the matrix that is valid at each time. turns: pairs of a start time
-        [s] and a matrix; the first is also valid before."""
+        [s] and a matrix. The first matrix is also valid before its start time."""
         made = x @ turns[0][1]
         for start, R in turns[1:]:
             after = self.t >= start
@@ -150,7 +155,7 @@ class Reader:
         return np.asarray(made)
 
     def in_sensor(self, force: Array, later: float, name: str) -> Array:
-        """Reading of a triad without a zero error for a force (N, 3), read `later` seconds
+        """Return the reading of a triad without zero error for a force (N, 3), read `later` seconds
         later."""
         return Once(self.known, not later)(self._in_sensor, force, later, name)
 
@@ -161,7 +166,7 @@ class Reader:
         return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
 
     def _level(self, name: str) -> Array:
-        """Reading of a triad for one g upright."""
+        """Return the reading of a triad for one g upright."""
         return Once(self.known, True)(self._level_in_sensor, name)
 
     def _level_in_sensor(self, name: str) -> Array:
@@ -169,13 +174,14 @@ class Reader:
         return self._in_sensor(upright, 0.0, name)
 
     def above_reference(self) -> Array:
-        """Temperature minus the temperature at which the file's zero errors hold [K]."""
+        """Return the temperature minus the temperature at which the zero errors of the model file
+        are valid [K]."""
         return np.asarray(self.raw("temperature", 0.0) - REFERENCE_DEGC)
 
     def scalar(self, name: str, changes: Changes, true: Array | None = None) -> Array:
-        """A signal of the vehicle's bus with offset and scale removed.
+        """Return a signal of the vehicle's bus, with offset and scale error removed.
 
-        true: (N,) error-free signal that replaces the measured one.
+        true: (N,) error-free signal that replaces the measured signal.
         """
         own = _part(changes, (f"{name}.",))
         return Once(self.known, not own)(self._scalar, name, own, true)

@@ -1,6 +1,6 @@
-"""Response of the yaw rate to the steering angle: linear single-track model with tyre relaxation.
+"""Response of the yaw rate to the steering angle: a linear single-track model with tyre relaxation.
 
-With S_k = a^k C_f + (-b)^k C_r, and tyres whose force builds up with h = 1 + s sigma/v:
+The model uses S_k = a^k C_f + (-b)^k C_r, and h = 1 + s sigma/v for the build-up of the tyre force:
 
     m h v_y' = C_f d - S_0 v_y/v - S_1 r/v - m h v r,   I h r' = a C_f d - S_1 v_y/v - S_2 r/v
 
@@ -19,20 +19,22 @@ from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 
 Complex = NDArray[np.complex128]
 SLOW_MPS = 2.5
-"""Below this speed, play and tyres determine the yaw rate, not the steering angle."""
+"""Speed [m/s] below which play and tyres determine the yaw rate, and not the steering angle."""
 RELAXATION_M = 0.4
-"""Distance over which a tyre's side force builds up: 0.2 to 0.6 m in cars."""
+"""Distance over which the side force of a tyre builds up [m]: 0.2 to 0.6 m in cars."""
 LEVEL_MPS = 4.0
-"""Spacing of the speeds at which the model is solved; solutions are interpolated between them."""
+"""Spacing of the speeds at which the model is solved [m/s]. Solutions are interpolated between
+these speeds."""
 
 
 def followed_angle(
     steer: Array, speed: Array, chassis: Chassis, gradient: float, once: Once | None = None
 ) -> Array:
-    """Steering angle that the yaw rate has followed, with gain 1 for a steady angle.
+    """Return the steering angle that the yaw rate has followed. The gain is 1 for a steady angle.
 
-    steer (N,) [rad], speed (N,) [m/s], every `STEP_S`; gradient: of understeer [rad/(m/s^2)]. once:
-    keeps results that do not depend on the speed, or on the angle.
+    steer: (N,) [rad], speed: (N,) [m/s], both at intervals of `STEP_S`. gradient: understeer
+    gradient [rad/(m/s^2)]. once: keeps results that do not depend on the speed, or do not depend on
+    the angle.
     """
     once = once or Once({}, True)
     spectrum = once(spectrum_of, steer)
@@ -47,25 +49,26 @@ def followed_angle(
 
 
 def frequencies(n: int) -> Complex:
-    """(n + 1,) s = i w for n samples of the grid, mirrored at their end [rad/s]."""
+    """Return s = i w (n + 1,) [rad/s] for n samples of the grid. The series of samples is mirrored
+    at its end."""
     return np.asarray(2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S))
 
 
 def spectrum_of(steer: Array) -> Complex:
-    """(N + 1,) spectrum of the angle behind the steering gear. The series is mirrored at its end,
-    so that it does not jump from the last angle to the first."""
+    """Return the spectrum (N + 1,) of the angle behind the steering gear. The series is mirrored at
+    its end, so that it has no jump from the last angle to the first."""
     gear = np.exp(-STEERING_GEAR_S * frequencies(len(steer)))
     return np.asarray(np.fft.rfft(np.concatenate([steer, steer[::-1]])) * gear)
 
 
 def at_level(spectrum: Complex, response: Complex, n: int) -> Array:
-    """(n,) followed angle at one speed."""
+    """Return the followed angle (n,) at one speed."""
     return np.asarray(np.fft.irfft(spectrum * response / response[0], 2 * n)[:n])
 
 
 def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Complex:
-    """(n + 1,) frequency response from the angle to the followed angle, at one level of the
-    speed."""
+    """Return the frequency response (n + 1,) from the angle to the followed angle, at one speed of
+    the spacing `LEVEL_MPS`."""
     c, s = chassis, frequencies(n)
     rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
     a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
@@ -79,11 +82,11 @@ def response_at(n: int, level: int, chassis: Chassis, gradient: float) -> Comple
 
 
 def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
-    """(N,) delay of the rear tyres' slip behind speed times yaw rate [s].
+    """Return the delay (N,) of the rear tyres' slip relative to speed times yaw rate [s].
 
-    The rear axle's force balances m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and the
-    force itself follows the slip with the delay of the relaxation length. slip: kappa v, sideslip a
-    sideways acceleration [s].
+    The force of the rear axle balances m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r'.
+    The force follows the slip with the delay of the relaxation length. slip: kappa v, the sideslip
+    per sideways acceleration [s].
     """
     c = chassis
     inertia = c.yaw_inertia_kgm2 / (c.mass_kg * c.cg_to_front_m)

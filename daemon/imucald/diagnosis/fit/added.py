@@ -1,8 +1,8 @@
-"""Columns for errors that are added to a signal, next to the catalogue's columns.
+"""Columns of errors that are added to a signal, in addition to the catalogue's columns.
 
-The catalogue's columns are derivatives by parameters. Other errors, such as a gain that depends on
-the speed or a low-pass, are arrays that are added to a signal. The column of such an error is the
-resulting change of each equation.
+The catalogue's columns are derivatives with respect to parameters. Other errors, such as a gain
+that depends on the speed or a low-pass filter, are arrays that are added to a signal. The column of
+such an error is the resulting change of each equation.
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ from imucald.diagnosis.fit.blocks import (
 from imucald.model.model import VehicleModel
 
 AddedRows = Sequence[tuple[Rows, Array]]
-"""For one equation, drive by drive: its rows, and the columns (B, K, E) of the added errors."""
+"""For one equation, a list over the drives: the rows, and the columns (B, K, E) of the added
+errors."""
 Added = Callable[[Forward], Iterable[tuple[Mapping[str, Array], float]]]
-"""For a drive: by signal, the added error and its factor relative to the column's unit."""
+"""Function that returns pairs for a drive: the added error by signal, and its factor relative to
+the unit of the column."""
 
 
 def level_of(f: Forward, signal: str) -> Array:
-    """(N,), or (N, 3) along the vehicle: the signal from which columns are made
-    (`Forward.settle`)."""
+    """Return the signal from which columns are made (`Forward.settle`): (N,), or (N, 3) along the
+    vehicle's axes."""
     if signal == "accel" and f.reference is not None:
         # The effect on one g upright counts as a zero error.
         return np.asarray(f.reference.force * np.array([1.0, 1.0, 0.0]))
@@ -47,8 +49,8 @@ def level_of(f: Forward, signal: str) -> Array:
 def rows_with(
     forwards: Sequence[Forward], model: VehicleModel, table: Table, added: Added
 ) -> dict[str, list[tuple[Rows, Array]]]:
-    """Rows and added columns by equation. table: of these drives with this model file. What the
-    drives have read is deleted afterwards."""
+    """Return rows and added columns by equation. table: table of these drives with this model file.
+    The signals that the drives have read are deleted afterwards."""
     parts: dict[str, list[tuple[Rows, Array]]] = {}
     at = 0
     for f in forwards:
@@ -76,9 +78,9 @@ def _columns(
 
 
 def whitened(parts: Mapping[str, AddedRows], x: Array) -> dict[str, Array]:
-    """(B, K, 1 + P + E) by equation, for all blocks: residual, catalogue's columns and added
-    columns. They are divided by the noise, and the effect of each block's tilt is removed. x: (B,
-    P) departures that fit their blocks."""
+    """Return, by equation, the residual, the catalogue's columns and the added columns for all
+    blocks (B, K, 1 + P + E). All columns are divided by the noise, and the effect of each block's
+    tilt is removed. x: (B, P) parameter differences that fit each block."""
     rows = {n: joined([r for r, _ in own]) for n, own in parts.items()}
     columns = {n: np.concatenate([c for _, c in own]) for n, own in parts.items()}
     whole = {n: np.concatenate([r.y[:, :, None], r.X, columns[n]], axis=2) for n, r in rows.items()}

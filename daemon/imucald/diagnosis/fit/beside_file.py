@@ -1,8 +1,8 @@
 """Compare segments of a drive with the segments from which a model file was made.
 
-A model file holds, for several kinds of numbers, the median over the segments of its own drives and
-the scatter between segments. This module makes, writes and compares such entries for any kind of
-number. A `Family` has one `FamilyRow` for each of its numbers.
+For several kinds of numbers, a model file contains the median over the segments of its own drives
+and the scatter between segments. This module makes, writes and compares such entries for any kind
+of number. A `Family` has one `FamilyRow` for each of its numbers.
 """
 
 from __future__ import annotations
@@ -22,48 +22,52 @@ from imucald.model.model import VehicleModel
 
 LEAST_SEGMENTS = 10
 ROAD_CLASS = 2.0
-"""Ratio of rms between neighbouring road classes (ISO 8608: spectral densities differ by a factor
-of 4)."""
+"""Ratio of the rms values of neighbouring road classes (ISO 8608: the spectral densities differ by
+a factor of 4)."""
 MOST_CORRELATED = 0.6
-"""Largest correlation of neighbours that is assumed: then four segments count as one."""
+"""Largest correlation of neighbouring segments that is assumed. With this correlation, four
+segments count as one."""
 MEDIAN = float(np.sqrt(0.5 * np.pi))
-"""Ratio of the standard deviations of median and mean for normal variables."""
+"""Ratio of the standard deviation of the median to that of the mean, for normal variables."""
 LEAST_RMS = 1e-9
 INSIDE = (0.05, 0.95)
 Left = dict[str, tuple[Array, Array]]
-"""By name: mean speed (B,) of each segment, and its numbers (B, 6)."""
+"""By name: mean speed (B,) of each segment, and the numbers (B, 6) of each segment."""
 
 
 @dataclass(frozen=True)
 class FamilyRow:
-    """Comparison of one number of a family with that of the file."""
+    """Comparison of one number of a family with the number of the model file."""
 
     limit: float
     """Largest difference of the logarithms between two correct drives."""
     words: Callable[[float, float], str]
-    """Makes the reported text from the value that half of the segments reach, and from the
-    logarithm of its ratio to the file's."""
+    """Function that makes the reported text. The arguments of this function are the value that half
+    of the segments reach, and the logarithm of the ratio of this value to the value of the model
+    file."""
     start: float = 0.0
-    """Difference beyond which the chance is computed."""
+    """Difference of the logarithms beyond which the chance is computed."""
     either_way: bool = False
-    """True: smaller numbers are tested too."""
+    """True if smaller numbers are tested too."""
     in_times: bool = True
-    """True: the size is the ratio divided by the limit's ratio. False: the difference divided by
-    the limit."""
+    """If True, the reported size is the ratio divided by the limit's ratio. If False, the reported
+    size is the difference divided by the limit."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """Numbers of segments that a model file states of its own drives."""
+    """Numbers of segments that a model file contains for its own drives."""
 
     kind: str
     row: Callable[[str, int], FamilyRow | None]
-    """Row by name of an entry and index of its number; None: not tested."""
+    """Function that returns the row for the name of an entry and the index of its number; None: not
+    tested."""
     least: int = LEAST_SEGMENTS
-    """Fewest segments of an entry, and of a drive that is compared with it."""
+    """Smallest number of segments of an entry, and of a drive that is compared with the entry."""
 
     def asked(self, left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
-        """One question for each number. left: by segment length [s]."""
+        """Return one question for each number. left: numbers of the segments, by segment length
+        [s]."""
         return [
             question
             for seconds, own in left.items()
@@ -72,7 +76,7 @@ class Family:
         ]
 
     def questions(self, name: str, x: Array, file: Leaves) -> list[Question]:
-        """Questions for one entry. x: (B, 6)."""
+        """Return the questions for one entry. x: (B, 6) numbers of the segments."""
         logs, more, se, free = beside_file(x, file)
         made = []
         for i in range(x.shape[1]):
@@ -92,7 +96,8 @@ class Family:
         return made
 
     def written(self, model: VehicleModel, left: Mapping[float, Left]) -> VehicleModel:
-        """Return the model file with entries for these segments, next to those that it had."""
+        """Return the model file with entries for these segments, in addition to its previous
+        entries."""
         for seconds, own in left.items():
             model = with_entries(model, leaves_of(own, seconds, self.least))
         return model
@@ -107,7 +112,8 @@ def joined(parts: Mapping[str, list[tuple[Array, Array]]]) -> Left:
 
 
 def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict[str, Leaves]:
-    """Entries of a model file for segments of a length [s]; only those with enough segments."""
+    """Return entries of a model file for segments of a length [s]. Names with too few segments have
+    no entry."""
     made = {}
     for name, (v, rms) in left.items():
         if len(v) >= least:
@@ -120,18 +126,18 @@ def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict
 
 
 def six(x: Array) -> Bands:
-    """Convert an array (6,) to the numbers of a section of the file."""
+    """Convert an array (6,) to the tuple that an entry of the file contains."""
     a, b, c, d, e, f = (short(each) for each in x)
     return a, b, c, d, e, f
 
 
 def short(x: float) -> float:
-    """Round a number to four digits."""
+    """Round a number to four significant digits."""
     return float(f"{x:.4g}")
 
 
 def with_entries(model: VehicleModel, made: Mapping[str, Leaves]) -> VehicleModel:
-    """Return the model file with these entries, next to others that it had."""
+    """Return the model file with these entries, in addition to its previous entries."""
     return model.with_changes({"leaves": msgspec.to_builtins({**model.leaves, **made})})
 
 
@@ -142,8 +148,8 @@ def in_both(
     least: int = LEAST_SEGMENTS,
     known: int = LEAST_SEGMENTS,
 ) -> Iterator[tuple[str, Array, Leaves]]:
-    """Name, numbers (B, 6) and the file's entry, for each entry with the same segment length. At
-    least `least` segments must lie within the speeds of the file's entry, and the file's entry must
+    """Yield name, numbers (B, 6) and file entry for each entry with the same segment length. At
+    least `least` segments must be within the speed range of the file entry. The file entry must
     have at least `known` segments."""
     for name, (v, x) in left.items():
         file = stated.get(name)
@@ -155,10 +161,12 @@ def in_both(
 
 
 def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, Array]:
-    """Logarithms (B, 6) of the segments' residuals; the excess (6,) of their medians over the
-    file's; its standard deviations (6,); and degrees of freedom (6,).
+    """Compare the residuals of the segments with a file entry.
 
-    A road lasts over several segments, so correlated segments count as fewer independent ones.
+    Returns the logarithms (B, 6) of the residuals, the excess (6,) of their medians over the file
+    entry, the standard deviations (6,) of the excess, and the degrees of freedom (6,). A road lasts
+    over several segments, so neighbouring segments are correlated and count as fewer independent
+    segments.
     """
     logs = np.log(np.maximum(rms, LEAST_RMS))
     one = _count_as_one(logs)
@@ -169,9 +177,10 @@ def beside_file(rms: Array, file: Leaves) -> tuple[Array, Array, Array, Array]:
 
 
 def _count_as_one(x: Array) -> Array:
-    """(6,) number of segments of x (B, 6) that count as one: (1 + r)/(1 - r), with r the
-    correlation of neighbours (first-order autoregression; Bayley and Hammersley 1946). r is the
-    observed correlation plus one standard deviation of it, 1/sqrt(B)."""
+    """Return the number (6,) of segments of x (B, 6) that count as one independent segment: (1 +
+    r)/(1 - r). r is the correlation of neighbours (first-order autoregression; Bayley and
+    Hammersley 1946). The value used is the observed correlation plus one standard deviation,
+    1/sqrt(B)."""
     x = x - x.mean(axis=0)
     r = np.sum(x[1:] * x[:-1], axis=0) / np.maximum(np.sum(x * x, axis=0), 1e-300)
     r = np.clip(r + len(x) ** -0.5, 0.0, MOST_CORRELATED)

@@ -2,8 +2,8 @@
 
 Each equation of a block is cosine-transformed, up to the highest frequency of its slowest signal,
 and divided by its own noise at each frequency. Then the tilt z0 is projected out (Frisch and
-Waugh). For block b only G_b = [y X]'[y X] is kept; all fits, folds and intervals are computed from
-it.
+Waugh). For each block b, only the Gram matrix G_b = [y X]'[y X] is stored. All fits, folds and
+intervals are computed from these matrices.
 """
 
 from __future__ import annotations
@@ -24,26 +24,27 @@ from imucald.model.model import VehicleModel
 
 BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
 FEW_S = 600.0
-"""If all drives together are shorter than this, they are cut into short blocks, because intervals
-need several blocks."""
+"""Total duration of all drives below which the drives are divided into short blocks [s], because
+intervals need several blocks."""
 TOP_HZ = 1.0
 SLOW_HZ = 0.1
-"""Limit of the band in equations whose fast part comes from the road: upward force, wheels against
-speed."""
+"""Upper frequency limit [Hz] of equations whose fast part comes from the road: the upward force,
+and the wheel speeds against the speed."""
 SLOW = ("accel_z", "speed")
 OF_SPEED = ("accel_x",)
 CARRIED = 0.4
-"""A signal shows motion up to this share of its sample rate."""
+"""Ratio of the highest frequency of a motion that a signal shows to the sample rate of the
+signal."""
 TILTED = ("accel_x", "accel_y")
-"""Equations that share the tilt of a block."""
+"""Equations that contain the tilt of a block."""
 LEAST_SHARE = 0.6
 """Share of a block's rows that must be present."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
-"""A block is used if the vehicle is faster than 1.5 m/s in at least 15 % of it; other blocks show
-no more than stops do."""
+"""Conditions for a block: in at least the share `MOVING_SHARE` of its time, the vehicle must be
+faster than `MOVING_MPS`. Slower blocks show no more than stops."""
 SLOW_BAND_HZ = 0.2
 SMOOTH = 7
-"""Number of spectral coefficients that are averaged."""
+"""Number of spectral coefficients over which the noise spectrum is averaged."""
 PASSES = 3
 TAKES: Mapping[str, tuple[str, ...]] = {
     "accel_x": ("accel", "gyro", "speed"), "accel_y": ("accel", "gyro", "yaw_rate"),
@@ -58,52 +59,54 @@ SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in 
 
 
 def late_signals(key: str, x: float) -> list[str]:
-    """Signals that may be low-passed if a delay x [s] was found. If the signal is younger than
-    stated, it has no low-pass; the signals compared with it may have one."""
+    """Return the signals that may be low-pass filtered if a delay x [s] was found. If the delay is
+    negative, the signal itself has no low-pass filter, but the signals compared with it may have
+    one."""
     own = key.partition(".")[0]
     return [own] if x > 0.0 else [signal for signal in SENSED if signal != own]
 
 
 @dataclass(frozen=True)
 class Table:
-    """The blocks of all drives against one model file.
+    """The blocks of all drives, evaluated with one model file.
 
-    keys: (P,) parameters. gram: (B, P+1, P+1), residual first. by_equation: the same for each
-    equation alone. Times are stream times of the drive.
+    keys: (P,) parameters. gram: (B, P+1, P+1) Gram matrices; the residual is the first column.
+    by_equation: Gram matrices of each single equation. Times are stream times of the drive.
     """
 
     keys: tuple[str, ...]
     gram: Array
     by_equation: Mapping[str, Array]
     rows: Array
-    """(B,) number of whitened rows in each block."""
+    """Number (B,) of whitened rows in each block."""
     start_s: Array
     drive: NDArrayInt
     moving: Array
-    """(B,) share of each block in motion."""
+    """Share (B,) of each block in motion."""
     tolerance: Array
-    """(P,) half widths."""
+    """Half widths (P,) of the tolerances."""
     model_error: Array
-    """(P,) standard deviations of the equations' own errors."""
+    """Standard deviations (P,) of the errors of the equations."""
     plausible: Array
-    """(P, 2)"""
+    """Plausible ranges (P, 2)."""
     top_hz: Mapping[str, float]
     seconds: float
-    """Length of a block."""
+    """Length of a block [s]."""
     plain: Mapping[str, Array]
-    """(B, 2, P+1, P+1) Gram matrices by equation in its own unit, below and above
+    """Gram matrices (B, 2, P+1, P+1) by equation in its own unit, below and above
     `SLOW_BAND_HZ`."""
     levels: Array
-    """(B, 2) mean tilt of each block, forward and left: force minus the part that motion explains,
-    over g."""
+    """Mean tilt (B, 2) of each block, forward and left: (force minus the part that motion explains)
+    divided by g."""
     number: NDArrayInt
-    """(B,) index of each block among all blocks of the drives, which do not depend on the model."""
+    """Index (B,) of each block among all blocks of the drives. The numbering of all blocks does not
+    depend on the model."""
     columns: Mapping[str, Array] = field(default_factory=dict)
-    """(all blocks, K, P) transformed columns by equation, from which the Gram matrices are made."""
+    """Transformed columns (all blocks, K, P) by equation, from which the Gram matrices are made."""
 
     def rms(self, equation: str, x: Array | None = None, band: int | None = None) -> float:
-        """Rms residual of an equation [its unit] with parameters x: (P,), or (B, P) for each
-        block."""
+        """Return the rms residual of an equation [its unit] with parameters x: (P,), or (B, P) for
+        each block."""
         gram = self.plain[equation]
         z = np.zeros((len(gram), gram.shape[2]))
         z[:, 0] = 1.0
@@ -115,8 +118,8 @@ class Table:
         return float(np.sqrt(np.maximum(chosen.sum() / max(int(there.sum()), 1), 0.0)))
 
     def without(self, equations: Collection[str]) -> Table:
-        """The same table, with fits that do not use some equations; the residuals of these are
-        still there."""
+        """Return the same table for fits that do not use some equations. The residuals of these
+        equations are kept."""
         if not equations:
             return self
         others = {n: gram for n, gram in self.by_equation.items() if n not in equations}
@@ -125,7 +128,7 @@ class Table:
 
     @property
     def shown(self) -> set[str]:
-        """Parameters that change any residual."""
+        """Parameters that change at least one residual."""
         size = np.diagonal(self.gram, axis1=1, axis2=2).sum(axis=0)[1:]
         return {key for key, x in zip(self.keys, size, strict=True) if x > 0.0}
 
@@ -143,8 +146,8 @@ NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 
 class MadeLater(Mapping[str, Array]):
-    """Arrays by name, made from the rows at the first access, because most tables of a search are
-    never accessed. nbytes: size of the rows."""
+    """Arrays by name that are made from the rows at the first access, because most tables of a
+    search are never accessed. nbytes: size of the rows [bytes]."""
 
     def __init__(
         self, names: Sequence[str], make: Callable[[], Mapping[str, Array]], nbytes: int
@@ -170,7 +173,7 @@ class MadeLater(Mapping[str, Array]):
 class Rows:
     """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
 
-    good: (B,) blocks in which enough rows are present.
+    good: (B,) flags of the blocks in which enough rows are present.
     """
 
     y: Array
@@ -182,7 +185,7 @@ class Rows:
 
 
 def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table, list[Forward]]:
-    """Evaluate all drives against a model file."""
+    """Evaluate all drives with a model file. Returns the table and the evaluated drives."""
     total = sum(drive.duration_s for drive in drives)
     seconds = BLOCK_S if total > FEW_S else SHORT_BLOCK_S
     rows = round(seconds / STEP_S)
@@ -224,8 +227,8 @@ def rows_of(
     f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float],
     known: Mapping[str, Array] | None = None,
 ) -> dict[str, Rows]:  # fmt: skip
-    """Transformed residual and columns of each equation. known: the columns (B, K, P), if they were
-    made before."""
+    """Return the transformed residual and columns of each equation. known: columns (B, K, P) that
+    were computed before, or None."""
     base = f.residuals({})
     masks = f.usable()
     block_tilt = f.tilts(base, masks)
@@ -256,7 +259,7 @@ def rows_of(
 
 
 def cosine(x: Array, mask: Mask, count: int) -> Array:
-    """First coefficients of a block's cosine transform, without missing rows."""
+    """Return the first coefficients of a block's cosine transform. Missing rows count as 0."""
     made: Array = dct(np.where(mask, x, 0.0), type=2, axis=1, norm="ortho")[:, :count]
     return made
 
@@ -279,7 +282,7 @@ def _weighed(
     parts: Mapping[str, Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
     start: Array, moving: Array, top: Mapping[str, float], levels: Array,
 ) -> Table:  # fmt: skip
-    """Divide each equation by its noise, which is found from the residuals of a fit of all
+    """Divide each equation by its noise. The noise is computed from the residuals of a fit of all
     parameters."""
     tolerances = np.array([tolerance(model, key) for key in keys])
     errors = np.array([model_error(model, key) for key in keys])
@@ -312,7 +315,7 @@ def _weighed(
 
 
 def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
-    """Residual rows (B, K) minus X x, with the tilt fitted again."""
+    """Return the residual rows (B, K) minus X x, with the tilt fitted again."""
     left = {name: (rows.y - rows.X @ x)[:, :, None] for name, rows in parts.items()}
     return {name: y[:, :, 0] for name, y in levelled(left, tilts_of(parts)).items()}
 
@@ -320,8 +323,8 @@ def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
 def tilts_of(
     parts: Mapping[str, Rows], weights: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
-    """(B, K, Z) tilt columns of the equations that share the tilt of a block, times weights (B,
-    K)."""
+    """Return the tilt columns (B, K, Z) of the equations that contain the tilt of a block, times
+    weights (B, K)."""
     tilts = {n: parts[n].tilt for n in TILTED if n in parts}
     return {
         n: z if weights is None else z * weights[n][:, :, None]
@@ -331,8 +334,8 @@ def tilts_of(
 
 
 def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str, Array]:
-    """Rows (B, K, P) by equation with the tilt projected out; equations with a tilt (B, K, Z) come
-    first."""
+    """Return rows (B, K, P) by equation with the tilt projected out. Equations with a tilt (B, K,
+    Z) come first."""
     if not tilts:
         return dict(rows)
     A, Z = (np.concatenate([of[n] for n in tilts], axis=1) for of in (rows, tilts))
@@ -342,14 +345,14 @@ def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str,
 
 
 def without_tilt(A: Array, Z: Array) -> Array:
-    """Rows (B, K, P) with the tilt (B, K, Z) of each block projected out."""
+    """Return rows (B, K, P) with the tilt (B, K, Z) of each block projected out."""
     inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
     return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
 
 
 def noise_weights(left: Array, good: Mask) -> Array:
-    """1 over the noise. The noise spectrum is the median over blocks, and noisy blocks get less
-    weight."""
+    """Return the inverse of the noise as weights. The noise spectrum is the median over blocks.
+    Noisy blocks get less weight."""
     if not good.any():
         return np.zeros_like(left)
     power = np.median(left[good] ** 2, axis=0) / 0.455
@@ -365,7 +368,7 @@ def noise_weights(left: Array, good: Mask) -> Array:
 
 
 def _rows(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """(B, K, P+1) residual and columns times weights (B, K), the tilt projected out."""
+    """Return residual and columns times weights (B, K, P+1), with the tilt projected out."""
     rows = {
         n: np.concatenate([r.y[:, :, None], r.X], axis=2) * weights[n][:, :, None]
         for n, r in parts.items()
@@ -374,7 +377,8 @@ def _rows(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, 
 
 
 def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
-    """Gram matrices in the equations' own units (squares per sample), in two bands."""
+    """Return Gram matrices in the equations' own units (squares per sample), in two frequency
+    bands."""
     made: dict[str, Array] = {}
     for n, a in _rows(
         parts, {n: r.good[:, None].astype(np.float64) for n, r in parts.items()}
@@ -387,18 +391,18 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
 
 
 def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """(B, P+1, P+1) by equation."""
+    """Return Gram matrices (B, P+1, P+1) by equation."""
     return {n: np.swapaxes(a, 1, 2) @ a for n, a in _rows(parts, weights).items()}
 
 
 # kept tables -------------------------------------------------------------------------------------
 
 MOST_BYTES = 200_000_000
-"""Size limit of the kept rows and matrices: about twenty tables of half an hour."""
+"""Size limit of the stored rows and matrices [bytes]: about twenty tables of half an hour."""
 
 
 class KeptTables:
-    """Tables of the same drives with changing model files; the last used ones are kept."""
+    """Tables of the same drives with different model files. The tables used last are kept."""
 
     def __init__(self) -> None:
         self._kept: list[tuple[VehicleModel, Table, list[Forward]]] = []
@@ -406,8 +410,8 @@ class KeptTables:
     def table_for(
         self, drives: Sequence[DriveSignals], model: VehicleModel
     ) -> tuple[Table, list[Forward]]:
-        """The table of a model file; it is made if it is not in the cache. drives: always the
-        same."""
+        """Return the table of a model file. A table that is not stored is made. drives: the same
+        drives in every call."""
         for i, (known, table, forwards) in enumerate(self._kept):
             if known == model:
                 self._kept.append(self._kept.pop(i))

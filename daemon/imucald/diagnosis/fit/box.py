@@ -11,14 +11,14 @@ RIDGE, TINY = 1e-9, 1e-9
 STEPS = 20
 """Largest number of changes of the active set for each parameter."""
 CLOSE = 1e-9
-"""Size of a slope that counts as zero."""
+"""Size of a slope up to which the slope counts as zero."""
 
 
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:
-    """Minimise x'Hx/2 - c'x within low <= x <= high: (Q,).
+    """Return the x (Q,) that minimises x'Hx/2 - c'x within low <= x <= high.
 
-    Primal active-set method (Nocedal and Wright, ch. 16): take a Newton step up to the first bound,
-    and release one bound at a time, that with the largest multiplier.
+    The primal active-set method (Nocedal and Wright, ch. 16) is used: it takes a Newton step up to
+    the first bound, and releases one bound at a time, the bound with the largest multiplier.
     """
     scale = 0.5 * (high - low)
     H = H * np.outer(scale, scale)

@@ -1,4 +1,4 @@
-"""Many questions about residuals, with one false-discovery rate for all of them."""
+"""Many tests of residuals, with one false-discovery rate for all tests."""
 
 from __future__ import annotations
 
@@ -15,43 +15,46 @@ from imucald.core.arrays import Array
 from imucald.diagnosis.result import Structure
 
 FALSE_SHARE = 0.01
-"""False-discovery rate of the reports. If nothing is wrong, it is the chance of any report."""
+"""False-discovery rate of the reports. If nothing is wrong, this is the chance of any report."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """A question about a residual: its chance if nothing is wrong, and the report it would give."""
+    """A test of a residual: its chance if nothing is wrong, and the structure that it would
+    report."""
 
     p: float
     is_large: bool
-    """True if the effect is larger than a correct model file may leave."""
+    """True if the effect is larger than the effect that a correct model file may leave."""
     structure: Structure
     may_be_large: float = 1.0
-    """Upper limit of the chance that the effect looks large if nothing is wrong. An accurately
-    known value never looks large."""
+    """Upper limit of the chance that the effect looks large although nothing is wrong. An
+    accurately known value never looks large by chance."""
 
 
 def chance_of_large(limit: float, se: float, free: float, beside: float = 1.0) -> float:
-    """Chance that a value exceeds a limit by `beside` standard deviations in either direction, if
-    nothing is wrong. se: its standard deviation. free: degrees of freedom of that."""
+    """Return the chance that a value exceeds a limit by `beside` standard deviations in either
+    direction, if nothing is wrong. se: standard deviation of the value. free: degrees of freedom of
+    this standard deviation."""
     return float(2.0 * student.sf(limit / max(se, 1e-300) + beside, max(free, 1.0)))
 
 
 def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
-    """Two-sided chance of a value in standard deviations, by two measures: the scatter of parts
-    (Student) and the noise of all rows (normal). Each measure has its own distribution."""
+    """Return the two-sided chance of a value in standard deviations, by two measures of the
+    deviation: the scatter of parts (Student's t) and the noise of all rows (normal). The larger
+    chance counts."""
     return 2.0 * max(float(student.sf(by_parts, free)), float(norm.sf(by_rows)))
 
 
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
     """Return the structures to report: large effects whose chance is at most a certain level. The
-    level is the largest at which the expected number of false reports is 1 % of all reports at that
-    level. Of each signal and kind only the most certain is reported.
+    level is the largest level at which the expected number of false reports is 1 % of all reports
+    at this level. For each signal and kind, only the most certain structure is reported.
 
-    At a level a, the chance of a false report of the i-th question is at most min(a, its chance to
-    look large). The sum of these chances over the number of reports is the false-discovery rate
-    (Benjamini and Hochberg 1995; as an estimate, Storey, Taylor and Siegmund 2004). Questions that
-    can never be reported take no part (Tarone 1990).
+    At a level a, the chance of a false report of the i-th question is at most min(a, chance that
+    its effect looks large). The sum of these chances divided by the number of reports is the
+    false-discovery rate (Benjamini and Hochberg 1995; as an estimate, Storey, Taylor and Siegmund
+    2004). Questions that can never be reported do not count (Tarone 1990).
     """
     found: dict[tuple[str, str], Structure] = {}
     large = sorted((q for q in asked if q.is_large), key=lambda q: q.p)
@@ -68,23 +71,24 @@ def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
 # shared scatter ----------------------------------------------------------------------------------
 
 FEW = 10
-"""With fewer questions than this, no common distribution is estimated."""
+"""Number of questions below which no common distribution is estimated."""
 LEAST, MOST = 1e-2, 1e4
-"""Range of the common distribution's degrees of freedom: below the first it is ignored; the second
-is the largest value."""
+"""Range of the common distribution's degrees of freedom. Below the first value the common
+distribution is ignored. The second value is the largest value used."""
 
 
 def moderated(over: Array, free: Array, most: float) -> tuple[Array, Array]:
-    """(E,) moderated over-dispersions and their degrees of freedom.
+    """Return moderated over-dispersions (E,) and their degrees of freedom (E,).
 
-    With fewer than ten segments, a question's own scatter makes Student's t require six standard
-    deviations. A hundred questions about the same segments have over-dispersions from one common
-    distribution, so each uses a mean of its own and the common one (moderated t; Smyth, Linear
-    models and empirical Bayes methods for assessing differential expression, 2004).
+    With fewer than ten segments, the scatter of a single question requires six standard deviations
+    in Student's t test. A hundred questions about the same segments have over-dispersions from one
+    common distribution. Each question therefore uses a mean of its own over-dispersion and the
+    common over-dispersion (moderated t; Smyth, Linear models and empirical Bayes methods for
+    assessing differential expression, 2004).
 
-    over: (E,) scatter divided by that of noise alone. free: (E,) degrees of freedom of each by
-    itself. most: upper limit of the total degrees of freedom, since the questions share their
-    segments.
+    over: (E,) scatter divided by the scatter of noise alone. free: (E,) degrees of freedom of each
+    question alone. most: upper limit of the total degrees of freedom, because all questions use the
+    same segments.
     """
     known = (over > 0.0) & (free > 0.0)
     if known.sum() < FEW:
@@ -96,8 +100,8 @@ def moderated(over: Array, free: Array, most: float) -> tuple[Array, Array]:
 
 
 def _law(over: Array, free: Array) -> tuple[float, float]:
-    """Degrees of freedom and value of the common over-dispersion, by mean and variance of the
-    logarithms (Smyth 2004, section 6.2)."""
+    """Return degrees of freedom and value of the common over-dispersion, from mean and variance of
+    the logarithms (Smyth 2004, section 6.2)."""
     half = 0.5 * free
     logs = np.log(over) - digamma(half) + np.log(half)
     more = float(logs.var(ddof=1) - polygamma(1, half).mean())

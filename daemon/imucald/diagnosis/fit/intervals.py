@@ -1,4 +1,5 @@
-"""Values and intervals of freed parameters. Nothing here depends on a cause's name."""
+"""Values and intervals of freed parameters. No function in this module depends on the name of a
+cause."""
 
 from __future__ import annotations
 
@@ -18,19 +19,20 @@ ERROR_RATE = 0.01
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimates of freed parameters. Arrays (k,)."""
+    """Estimates of freed parameters. Arrays are (k,)."""
 
     value: Array
     se: Array
-    """Standard deviation: the largest of sandwich, sandwich with lag one, and model-based. The
-    wander between quarters and the error of the equations are added."""
+    """Standard deviation: the largest of the sandwich, the sandwich with lag one, and the
+    model-based deviation. The wander between quarters of the data and the error of the equations
+    are added."""
     quantile: float
     pull: float
-    """Distance of the parameters from the box in standard deviations: the square root of twice the
-    rise of the loss when they are put back into the box, corrected for over-dispersion and
-    wander."""
+    """Distance of the parameters from the box in standard deviations. It is the square root of
+    twice the rise of the loss when the parameters are moved back into the box, corrected for
+    over-dispersion and wander."""
     wander: Array
-    """Scatter between quarters of the data beyond chance."""
+    """Scatter between quarters of the data in addition to chance."""
 
     @property
     def low(self) -> Array:
@@ -44,18 +46,19 @@ class Estimate:
 
 
 def quantile(blocks: int, questions: int) -> float:
-    """Two-sided quantile of Student's t, corrected for the number of questions (Bonferroni)."""
+    """Return the two-sided quantile of Student's t, corrected for the number of questions
+    (Bonferroni)."""
     return float(student.ppf(1.0 - ERROR_RATE / (2.0 * max(questions, 1)), max(blocks - 1, 1)))
 
 
 def estimate(
     problem: Problem, h: Hypothesis, questions: int, null: Problem | None = None
 ) -> Estimate:
-    """Value and standard deviation of a hypothesis' parameters, with the others free within their
-    box.
+    """Return value and standard deviation of a hypothesis's parameters. The other parameters are
+    free within their box.
 
-    null: the same problem with the box of correct files, needed if the model has already left that
-    box.
+    null: the same problem with the box of correct model files. `null` is needed if the model has
+    already left this box.
     """
     gram, low, high = problem.widened(h)
     own = problem.own(h)
@@ -83,11 +86,11 @@ def estimate(
 def _pull(
     problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array, null_of: Problem
 ) -> float:
-    """Profile likelihood with the other parameters in their box, so that none goes beyond its
-    tolerance.
+    """Return the distance of the parameters from the box, by a profile likelihood. The other
+    parameters stay in their box, so that none exceeds its tolerance.
 
-    The rise of the loss is divided by the over-dispersion of the blocks (sandwich over model-based
-    variance); `more` (k,) adds the variances of the equations themselves.
+    The rise of the loss is divided by the over-dispersion of the blocks (sandwich variance divided
+    by model-based variance). more: (k,) variances of the errors of the equations; they are added.
     """
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
@@ -116,14 +119,15 @@ QUARTERS = 4
 
 
 def ridge(H: Array) -> Array:
-    """Ridge that is added to a Hessian (P, P) so that it can be inverted."""
+    """Return the ridge that is added to a Hessian (P, P) so that it can be inverted."""
     return RIDGE * np.diag(np.maximum(np.diag(H), 1e-30))
 
 
 def scatters(score: Array, fitted: int) -> tuple[Array, Array]:
-    """Two scatter matrices (P, P) of the blocks' scores (B, P): of single blocks, and with the
-    neighbouring block for effects longer than a block. fitted: number of parameters fitted to the
-    blocks."""
+    """Return two scatter matrices (P, P) of the blocks' scores (B, P). The first matrix treats
+    blocks as independent. The second matrix includes the correlation with the neighbouring block,
+    for effects longer than a block.
+    fitted: number of parameters fitted to the blocks."""
     B = len(score)
     alone = score.T @ score * (B / max(B - fitted, 1))
     lag = score[1:].T @ score[:-1]
@@ -131,11 +135,12 @@ def scatters(score: Array, fitted: int) -> tuple[Array, Array]:
 
 
 def between_quarters(score: Array) -> Array:
-    """Scatter of the quarters' scores about their mean (cluster-robust; Cameron and Miller 2015).
+    """Return the scatter of the quarters' scores about their mean (cluster-robust; Cameron and
+    Miller 2015).
 
-    A parameter that drifts between quarters counts by its effect on the whole fit. If a quarter has
-    little information on a parameter, its own value may be very wrong, but it hardly changes the
-    fit of all quarters.
+    A parameter that drifts between quarters counts by its effect on the whole fit. If a quarter
+    contains little information on a parameter, the quarter's own value may be very wrong, but it
+    hardly changes the fit of all quarters.
     """
     if len(score) < 2 * QUARTERS:
         return np.zeros((score.shape[1], score.shape[1]))
@@ -145,5 +150,6 @@ def between_quarters(score: Array) -> Array:
 
 
 def variances(inverse: Array, scatter: Array) -> Array:
-    """(P,) variances of the parameters, from the inverse Hessian and the scatter of the scores."""
+    """Return the variances (P,) of the parameters, from the inverse Hessian and the scatter of the
+    scores."""
     return np.diag(inverse @ scatter @ inverse)

@@ -1,7 +1,9 @@
-"""Fits and held-out losses on a table of blocks. Nothing here depends on a cause's name.
+"""Fits and held-out losses on a table of blocks. No function in this module depends on the name of
+a cause.
 
-The null hypothesis is a box: a correct model file is wrong by |x_j| <= tau_j. Half an hour of data
-would outweigh a Gaussian prior of that width. A hypothesis frees its own parameters from the box.
+The null hypothesis is a box: the errors of a correct model file are |x_j| <= tau_j. A Gaussian
+prior of this width would have no effect against half an hour of data. A hypothesis frees its own
+parameters from the box.
 """
 
 from __future__ import annotations
@@ -19,31 +21,31 @@ from imucald.diagnosis.fit.box import box_fit
 
 FOLDS = 8
 REACH = 3.0
-"""A freed parameter may reach this multiple of the plausible limit; then it is reported as
-implausible."""
+"""Multiple of the plausible limit up to which a freed parameter is fitted. A parameter beyond the
+plausible limit is reported as implausible."""
 SILENT = 1e-6
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Parameters that are wrong together, in the whole drive or by a pattern over the blocks."""
+    """Parameters that are wrong together, in the whole drive or with a pattern over the blocks."""
 
     name: str
     keys: tuple[str, ...]
-    """The freed parameters, which are reported."""
+    """The freed parameters. They are reported."""
     directions: tuple[Mapping[str, float], ...] = ()
-    """For each key, the parameters that move with it and their factors; empty: the keys alone."""
+    """For each key, the parameters that change with it and their factors; empty: only the keys
+    change."""
     lead: int = 0
-    """Number of leading keys of which at least one must leave its tolerance; 0: any key is
-    enough."""
+    """Number of first keys of which at least one must leave its tolerance; 0: any key is enough."""
     pattern: Array | None = None
-    """(B,) factor on the parameters in each block; None: everywhere."""
+    """Factor (B,) on the parameters in each block; None: 1 in all blocks."""
     error: float | None = None
-    """Error of the equations in this hypothesis; None: the error of its best known parameter."""
+    """Error of the equations in this hypothesis; None: the smallest error among its parameters."""
 
     @property
     def moved(self) -> set[str]:
-        """The keys and all parameters that move with them."""
+        """The keys and all parameters that change with them."""
         return {k for d in self.directions for k in d} or set(self.keys)
 
     @property
@@ -54,7 +56,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Problem:
-    """A table with the parameters that are free already, and bounds from direct evidence."""
+    """A table, the box of its parameters, and bounds from direct evidence."""
 
     table: Table
     low: Array
@@ -64,8 +66,8 @@ class Problem:
     def from_table(
         table: Table, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
     ) -> Problem:
-        """Problem with the box of tolerances; free keys are bounded by three times the plausible
-        limits."""
+        """Return the problem with the box of tolerances. Free keys have bounds of three times the
+        plausible limits."""
         low, high = -table.tolerance.copy(), table.tolerance.copy()
         for key, (a, b) in bounds.items():
             if key in table.keys:
@@ -77,8 +79,9 @@ class Problem:
         return Problem(table, low, high)
 
     def model_error(self, h: Hypothesis) -> Array:
-        """(k,) error of the equations. Parameters that move together have the error of the best
-        known one. For a change in mid-drive it is zero, because it cancels in the difference."""
+        """Return the error of the equations (k,). Parameters that change together have the smallest
+        of their errors. For a change in the middle of a drive, the error is zero, because it
+        cancels in the difference."""
         errors = self.table.model_error
         if h.pattern is not None:
             return np.zeros(len(h.keys))
@@ -90,7 +93,8 @@ class Problem:
         return np.asarray(errors[self.table.index(h.keys)])
 
     def widened(self, h: Hypothesis | None) -> tuple[Array, Array, Array]:
-        """Gram matrices (B, Q+1, Q+1) and bounds (Q,) with a hypothesis' parameters freed."""
+        """Return Gram matrices (B, Q+1, Q+1) and bounds (Q,) with a hypothesis's parameters
+        freed."""
         if h is None:
             return self.table.gram, self.low, self.high
         for known, made in self._asked:
@@ -101,7 +105,8 @@ class Problem:
         return self._asked[0][1]
 
     def fit(self, h: Hypothesis | None = None) -> Array:
-        """(Q,) all parameters within their bounds; those of a patterned hypothesis last."""
+        """Return all fitted parameters (Q,) within their bounds. Parameters of a hypothesis with a
+        pattern are last."""
         gram, low, high = self.widened(h)
         if h is None:
             return self._whole
@@ -114,7 +119,8 @@ class Problem:
         return x
 
     def fitted_changes(self) -> dict[str, float]:
-        """Changes of the model file by the fit within all bounds: key to value, without zeros."""
+        """Return the changes of the model file from the fit within all bounds: key to value,
+        without zeros."""
         return {k: float(v) for k, v in zip(self.table.keys, self.fit(), strict=True) if v}
 
     @cached_property
@@ -161,14 +167,15 @@ class Problem:
         return gram, np.concatenate([low, wide[:, 0]]), np.concatenate([high, wide[:, 1]])
 
     def own(self, h: Hypothesis) -> list[int]:
-        """Indices of a hypothesis' parameters in a widened problem."""
+        """Return the indices of a hypothesis's parameters in the widened problem."""
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
 
     def moves(self, h: Hypothesis, only: Sequence[str] = ()) -> dict[str, float]:
-        """Departures of a hypothesis' own parameters and of those that move with them. only: the
-        parameters to move; the others are fitted within their tolerance and not moved."""
+        """Return the fitted differences of a hypothesis's parameters, and of the parameters that
+        change with them. only: parameters to return; the other parameters are fitted within their
+        tolerance and not returned."""
         if only:
             h = replace(h, keys=tuple(only))
         x, own = self.fit(h), self.own(h)
@@ -180,18 +187,18 @@ class Problem:
 
 
 def folds(blocks: int) -> Array:
-    """(B,) fold of each block: contiguous segments."""
+    """Return the fold (B,) of each block. A fold is a contiguous segment."""
     return np.asarray(np.arange(blocks) * min(FOLDS, blocks) // blocks)
 
 
 def losses(gram: Array, x: Array) -> Array:
-    """(B,) half the squared whitened residual of each block."""
+    """Return half of the squared whitened residual of each block (B,)."""
     z = np.concatenate([[1.0], -x])
     return np.asarray(0.5 * (gram @ z @ z))
 
 
 def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
-    """(B,) loss of each block, with a fit that did not use its fold."""
+    """Return the loss (B,) of each block, from a fit that did not use the fold of the block."""
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
     fold = folds(len(gram))
@@ -206,9 +213,9 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
 
 
 def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
-    """(B, P+1) coefficients that turn each segment's rows into its residual, after a fit of all
-    parameters in their box. drift: a named drift, which has no place in the model file; it is
-    fitted too."""
+    """Return coefficients (B, P+1) that turn the rows of each segment into its residual, after a
+    fit of all parameters in their box. drift: a named drift, which has no place in the model file;
+    its parameters are fitted too."""
     table, x = problem.table, problem.fit(drift)
     own = len(table.keys)
     z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
@@ -219,22 +226,23 @@ def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
 
 
 def one_in_fifteen(blocks: int) -> int:
-    """Return the number of blocks that must not decide a question alone: one in fifteen, at least
+    """Return the number of blocks that must not decide a test alone: one in fifteen, at least
     one."""
     return max(1, round(blocks / 15))
 
 
 def without_best(gain: Array) -> float:
-    """Sum over blocks without the best one in fifteen."""
+    """Return the sum over blocks without the best blocks, one in fifteen."""
     return float(np.sort(gain)[: len(gain) - one_in_fifteen(len(gain))].sum())
 
 
 def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> tuple[float, float]:
-    """Difference of two losses (B,) and (C,), summed over blocks, and its standard error.
+    """Return the difference of two losses (B,) and (C,), summed over blocks, and its standard
+    error.
 
-    own, other: indices of their blocks (`Table.number`). A table leaves out blocks without
-    information, and these may differ between models, for example with another delay. Therefore only
-    blocks that both tables have are compared.
+    own, other: indices of the blocks (`Table.number`). A table leaves out blocks without
+    information. The blocks left out may differ between two models, for example with another delay.
+    Therefore only blocks in both tables are compared.
     """
     if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)

@@ -1,6 +1,6 @@
 """Test the residuals after the search, without a known cause.
 
-The tests find a residual that is too large, a common motion in the residuals of two equations
+The four tests find a residual that is too large, a common motion in the residuals of two equations
 without a common sensor, a line in a spectrum, and signals with the opposite sign of their
 prediction.
 """
@@ -30,53 +30,60 @@ from imucald.diagnosis.signals import STEP_S, Mask
 
 Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4
-"""If a signal's correlation with its prediction is below this, a sign is wrong."""
+"""Correlation of a signal with its prediction below which a sign is wrong."""
 LEAST_ROWS = 300
 LEAST_BLOCKS = 10
 CHANCE = 0.01
-"""Chance of such a coherence from noise alone, divided among the bands."""
+"""Chance of a reported coherence from noise alone. It is divided among the frequency bands."""
 HANN_BINS = 1.5
-"""Number of neighbouring bins that count as one: noise bandwidth of a Hann window (Harris 1978)."""
+"""Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
+1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
 PAIRS = (("accel_y", "yaw_rate"),)
 """Pairs of equations without a common sensor, if gyroscope and yaw rate are both present."""
 AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
-"""Lateral acceleration from the air, per speed squared and angle of attack [1/m]: half the density,
-2.2 m^2, 2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road Vehicles, ch. 5)."""
+"""Lateral acceleration from the air, per square of the speed and per angle of attack [1/m]: half
+the density, 2.2 m^2, 2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road
+Vehicles, ch. 5)."""
 CALM, GUSTY = 0.02, 0.10
-"""Lateral turbulence on roads, relative to the speed: least and most (Wordley and Saunders, On-road
-Turbulence, SAE 2008-01-0475)."""
+"""Lateral turbulence on roads, relative to the speed: smallest and largest value (Wordley and
+Saunders, On-road Turbulence, SAE 2008-01-0475)."""
 EDDY_M = 10.0
-"""Length scale of that turbulence (the same)."""
+"""Length scale of the lateral turbulence [m] (same source)."""
 FAST_MPS = 30.0
 MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
-"""Limit of the lateral residual after a fit of all parameters within their tolerances: the effect
-of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
+"""Limit of the lateral residual after a fit of all parameters within their tolerances [m/s^2]: the
+effect of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added to
+this limit."""
 FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
-"""Product of delay and cut-off frequency of a first-order low-pass, well below the cut-off."""
+"""Product of delay and cut-off frequency of a first-order low-pass filter, for frequencies well
+below the cut-off."""
 OCTAVE = 2.0
 DRIVEN = ("_winding", "_braking")
 """Names of the lateral and forward accelerations that the driver causes."""
 DRIVING_MPS = 2.0
 BAND_HZ = 0.25, 4.5
-"""Tested frequencies: from above those that a segment's tilt absorbs to below half the grid's
-rate."""
+"""Range of tested frequencies [Hz]. Lower frequencies are absorbed by the tilt of a segment. The
+upper limit is below half of the grid's rate."""
 PEAK = 4.0
-"""A line is at least this many times as strong as its surroundings."""
+"""Smallest ratio of a line to its surroundings in the spectrum."""
 NEAR, FAR = 3, 9
-"""Bins on each side of a line with which it is compared: outside the spread of a Hann window, and
-near enough to follow the spectrum's slope (0.1 to 0.3 Hz in segments of 30 s)."""
+"""Nearest and farthest frequency bin on each side with which a line is compared. The bins are
+outside the spread of a Hann window, and near enough to follow the spectrum's slope (0.1 to 0.3 Hz
+in segments of 30 s)."""
 ZEROS: Mapping[str, str] = {
     "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
     "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
     "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
     "longitudinal_accel": "longitudinal_accel.offset",
 }  # fmt: skip
-"""Zero error that a correct file may have: a smaller oscillation is not reported."""
+"""Zero error of each equation whose tolerance is the limit of an oscillation: a smaller oscillation
+is not reported."""
 
 
 def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
-    """Signals with the opposite sign of their prediction: a wrong sign in the configuration."""
+    """Return the signals that have the opposite sign of their prediction. The reason is a wrong
+    sign in the configuration."""
     found = []
     f = max(forwards, key=lambda f: f.blocks)
     measured, masks = f.measured(), f.usable()
@@ -99,8 +106,8 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
 
 
 def too_much(problem: Problem, state: State) -> list[Structure]:
-    """Report a residual of the sideways force larger than that of any measured car. Such a residual
-    means that a cause is missing, and no fit without this cause can be trusted."""
+    """Report a residual of the sideways force that is larger than in any measured car. With such a
+    residual, a cause is missing, and no fit without this cause can be trusted."""
     name = "accel_y"
     if not {name, "gyro_x"} <= set(problem.table.plain):
         return []
@@ -123,8 +130,8 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
 
 
 def _noise(state: State, top_hz: float) -> float:
-    """The accelerometer's own lateral noise up to a frequency [m/s^2], if its density there is the
-    same as from sample to sample."""
+    """Return the accelerometer's own lateral noise up to a frequency [m/s^2], assuming white noise:
+    the noise density is computed from the differences of successive samples."""
     across = mount_of(state.model)[1]
     found = []
     for drive in state.drives:
@@ -141,8 +148,8 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
     """Return the spectra (B blocks, F frequencies) of each equation's residual, in the residual's
     unit.
 
-    The row of a block with too few samples or too little driving is NaN. The inputs `_steering` and
-    `_turning`, which move the vehicle, are included.
+    The row of a block with too few samples or too little driving is NaN. The inputs of the
+    vehicle's motion, `_steering` and `_turning`, are included.
 
     All parameters are fitted within their tolerances.
     """
@@ -173,19 +180,19 @@ def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Sp
 
 
 def as_loud(z: Spectra) -> Spectra:
-    """Scale all blocks to equal power."""
+    """Return the spectra with all blocks scaled to equal power."""
     loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
     return np.asarray(z / np.maximum(loud, 1e-30))
 
 
 def shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
-    """Find the same motion in two equations without a common sensor.
+    """Find a common motion in the residuals of two equations without a common sensor.
 
-    Partial coherence is used: everything linear in steering and turning is removed from both, for
-    any dynamics (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling model
-    does not count as a motion. A reported coherence exceeds chance, 1 - p^(1/(n - 1)) for n
-    segments. The motion must also exceed the effect of calm air at this speed, as a lateral push or
-    as the acceleration v r of the resulting turn.
+    The test uses the partial coherence. Everything that is linear in steering and turning is
+    removed from both residuals, for any dynamics (Bendat and Piersol, Random Data, ch. 7), so an
+    error of the handling model does not count as a motion. A reported coherence exceeds chance, 1 -
+    p^(1/(n - 1)) for n segments. The motion must also exceed the effect of calm air at this speed,
+    as a lateral push or as the acceleration v r of the resulting turn.
     """
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
@@ -223,8 +230,8 @@ def shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[
 
 
 def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
-    """Partial coherence in a band, the size of that part of `a` [its unit], and the coherence by
-    chance."""
+    """Return the partial coherence in a band, the size of the coherent part of `a` [its unit], and
+    the coherence by chance."""
     one = a[:, band]
     size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
     u = left_of_known(as_loud(a)[:, band], known[:, band])
@@ -237,7 +244,8 @@ def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, 
 
 
 def _calm(v: Array) -> float:
-    """Rms acceleration of a car by calm air in the tested bands [m/s^2]. v: (N,) speed."""
+    """Return the rms acceleration of a car by calm air in the tested bands [m/s^2]. v: (N,) speed
+    [m/s]."""
     v = np.abs(v[np.abs(v) > DRIVING_MPS])
     low, high = BANDS_HZ[0][0], BANDS_HZ[-1][1]
     travel = 2.0 * np.pi * EDDY_M / v
@@ -247,7 +255,8 @@ def _calm(v: Array) -> float:
 
 
 def left_of_known(z: Spectra, known: Spectra) -> Spectra:
-    """(B, F) minus the part that is linear in the inputs (B, F, 2), frequency by frequency."""
+    """Return the spectra (B, F) minus the part that is linear in the inputs (B, F, 2), frequency by
+    frequency."""
     left = z.copy()
     for i in range(z.shape[1]):
         left[:, i] -= known[:, i] @ np.linalg.lstsq(known[:, i], z[:, i], rcond=None)[0]
@@ -255,9 +264,12 @@ def left_of_known(z: Spectra, known: Spectra) -> Spectra:
 
 
 def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
-    """Signals, and frequency ranges [Hz] in which a low-pass may leave a peak if it was fitted as a
-    delay x. The range is one octave about its cut-off: 1/(2 pi x) for first order, sqrt 2/(2 pi x)
-    for second. Below this range a delay fits equally well; above it there is no motion."""
+    """Return signals and frequency ranges [Hz] in which a low-pass filter may leave a peak if the
+    filter was fitted as a delay x.
+
+    The range is one octave around the cut-off frequency of the filter: 1/(2 pi x) for first order,
+    sqrt 2/(2 pi x) for second order. Below this range, a delay fits equally well. Above this range,
+    there is no motion."""
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
@@ -270,11 +282,12 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
 
 
 def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
-    """One question for each equation, about its strongest line: something oscillates.
+    """Return one question for each equation, about the strongest line in its spectrum: does
+    anything oscillate?
 
-    Everything linear in the vehicle's accelerations is removed first, since driving may be
-    periodic. A body on its springs oscillates within half a hertz, and a road excites the whole
-    band; a narrower line has another source: a fan, a pump, or a supply ripple.
+    Everything that is linear in the vehicle's accelerations is removed first, because driving may
+    be periodic. A body on its springs oscillates in a band of half a hertz, and a road excites the
+    whole band. A narrower line has another source: a fan, a pump, or a supply ripple.
     """
     made = []
     for name, tau in ZEROS.items():
@@ -297,14 +310,16 @@ def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
 
 
 def _to_hz(name: str, state: State) -> float:
-    """Upper frequency for an equation: between two samples of the speed nothing is known."""
+    """Return the upper frequency for an equation [Hz]. For the equation with the slope of the
+    speed, it is limited by the sample rate of the speed."""
     if name not in OF_SPEED:
         return BAND_HZ[1]
     return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
 
 
 def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Question:
-    """z: (B, F) spectra of segments; asked: indices of frequencies."""
+    """Return the question about the strongest line of an equation. z: (B, F) spectra of segments.
+    asked: indices of the tested frequencies. tau: smallest amplitude of a line."""
     # One segment in fifteen must not decide.
     kept = len(z) - one_in_fifteen(len(z))
     power, loud = (np.sort(np.abs(x) ** 2, axis=0)[:kept].mean(axis=0) for x in (as_loud(z), z))
@@ -328,7 +343,7 @@ def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -
 
 
 def _beside(power: Array, i: int) -> float:
-    """The higher of the levels on both sides, so that a slope or a broad rise does not count as a
-    line."""
+    """Return the higher of the levels on both sides of a line. A slope or a broad rise of the
+    spectrum therefore does not count as a line."""
     sides = power[max(i - FAR, 1) : i - NEAR + 1], power[i + NEAR : i + FAR + 1]
     return max(float(np.median(side)) for side in sides if len(side))

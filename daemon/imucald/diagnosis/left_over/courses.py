@@ -1,10 +1,11 @@
-"""Find zeros, gains and delays that change from segment to segment of a drive.
+"""Find zero errors, gains and delays that change from segment to segment of a drive.
 
-A parameter of the model file is one number. If the segments' best numbers differ by more than their
-errors and the tolerances of a correct file, there is an effect that no parameter describes. Each
-way to differ is one row of `COURSES`: a linear map of the segments' scores, and the size of its
-result. The chance of each comes from permutations of the same segments. Every zero and gain is
-tested, even if it was not found to be wrong.
+A parameter of the model file is one number for the whole drive. Each segment alone gives an
+estimate of this number. If the estimates differ by more than their errors and the tolerances of a
+correct model file, there is an effect that no parameter describes. Each row of `COURSES` tests one
+pattern of differences: a linear map of the segments' scores, and the size of its result. The chance
+of each result is computed from permutations of the same segments. Every zero error and gain is
+tested, even if its value for the whole drive is correct.
 """
 
 from __future__ import annotations
@@ -29,37 +30,40 @@ from imucald.diagnosis.search.trials import hypotheses, on_table
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("bias", "scale", "offset")
-"""Parts of the tested keys, which every sensor has. Other delays than the speed's, lever arm and
-springs are not tested: they absorb errors of the tyre equations, which depend on the speed also in
-drives without an effect."""
+"""Parts of the tested keys, which exist for every sensor. Delays other than the delay of the speed
+are not tested, nor are the lever arm and the springs. These parameters absorb errors of the tyre
+equations, which depend on the speed in every drive."""
 DELAY = "speed.delay_s"
-"""Asked whether it steps, next to its linear growth (two clocks)."""
+"""Delay that is tested for a step. A linear growth of the delay (two clocks) is a cause of the
+catalogue."""
 LAGS = (1, 2, 3)
 """Numbers of neighbouring segments, half a minute to a minute and a half: longer than a manoeuvre.
-The duration of an effect is not known, so each is tested."""
+The duration of an effect is not known, so each number is tested."""
 LEAST_SIDE = 3
-"""Fewest segments on either side of a moment."""
+"""Smallest number of segments before and after a tested moment."""
 ORDERS, KEPT = 1000, 100
-"""Permutations of the segments drawn at each level, and how many of them must reach the next
-level."""
+"""Number of permutations of the segments at each level, and number of permutations that must reach
+the next level."""
 MOST_LEVELS = 8
-"""Largest number of levels. It reaches a chance of 1e-8, less than any family of questions
-needs."""
+"""Largest number of levels. With this number, chances down to 1e-8 can be computed, which is less
+than any family of questions needs."""
 LEAST_WAVES = 3
-"""Slower oscillations within a drive count as wandering."""
+"""Smallest number of oscillations within a drive. A slower oscillation counts as wandering."""
 LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
-"""Standard deviation of a uniform distribution within a tolerance, over the tolerance."""
+"""Ratio of the standard deviation of a uniform distribution within a tolerance to this
+tolerance."""
 EITHER_SIDE = 2.0
-"""Width of the allowed range of a correct file, as a multiple of the tolerance."""
+"""Width of the allowed range of a correct model file, as a multiple of the tolerance."""
 OWN = 3
-"""Numbers fitted to each segment, which reduce its noise: two tilts and the value itself."""
+"""Number of values fitted to each segment, which reduce its noise: two tilts and the value
+itself."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """A parameter's evidence by segment (B,): information, and departures from the fit that add up
-    to zero. known: (B, k) courses that the fit contains."""
+    """A parameter's evidence by segment (B,): information h, and scores s relative to the fit,
+    whose sum is zero. known: (B, k) patterns over the segments that the fit already contains."""
 
     h: Array
     s: Array
@@ -69,35 +73,36 @@ class Scores:
 
 @dataclass(frozen=True)
 class Course:
-    """One way to change, for one parameter."""
+    """One pattern of change, for one parameter."""
 
     image: Array
-    """(B, F) linear map of the scores."""
+    """Linear map (B, F) of the scores."""
     size_of: Callable[[Array], Array]
-    """(N, F) results to (N,) sizes; the largest is the rarest."""
+    """Function from results (N, F) to sizes (N,). The largest size is the least probable."""
     value: float
-    """Amount of the change, in the parameter's unit."""
+    """Amount of the change, in the unit of the parameter."""
     rare: Callable[[float], float]
-    """Chance that noise makes an amount beyond a limit."""
+    """Function that returns the chance that noise causes an amount beyond a limit."""
     text: str
 
 
 def drift_of(problem: Problem, state: State) -> Hypothesis | None:
-    """The named drift, which has no place in the model file; None without one."""
+    """Return the named drift, which has no place in the model file; None if there is no drift."""
     drifts = (t.hypothesis for t in state.named if t.hypothesis.pattern is not None)
     return next((on_table(h, problem.table) for h in drifts), None)
 
 
 def courses(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """Questions about zeros, gains and the speed's delay that change during the drives. drift: a
-    named drift, which has no place in the model file; it is fitted too."""
+    """Return the questions about zero errors, gains and the delay of the speed that change during
+    the drives. drift: a named drift, which has no place in the model file and is therefore fitted
+    here."""
     if problem.table.blocks < LEAST_BLOCKS:
         return []
     return [*by_course(problem, drift), *gains_apart(problem, state, drift)]
 
 
 def by_course(problem: Problem, drift: Hypothesis | None) -> Iterator[Question]:
-    """One question for each parameter and row of `COURSES`."""
+    """Yield one question for each parameter and row of `COURSES`."""
     table, z = problem.table, what_leaves(problem, drift)
     for j, key in enumerate(table.keys):
         h = table.gram[:, j + 1, j + 1]
@@ -131,9 +136,9 @@ def _question(table: Table, key: str, p: float, size: float, text: str, rare: fl
 
 
 def _near(x: Scores, lag: int) -> Course:
-    """Neighbours share a departure that the whole drive does not show.
+    """Test whether neighbouring segments have a common difference from the whole drive.
 
-    Of scores s_b with information h_b, s_b s_(b+l) has the expectation h_b h_(b+l) sigma^2, where
+    For scores s_b with information h_b, the expectation of s_b s_(b+l) is h_b h_(b+l) sigma^2.
     sigma is the standard deviation of the parameter's wander.
     """
     together = partial(_shared, lag=lag)
@@ -148,10 +153,10 @@ def _near(x: Scores, lag: int) -> Course:
 
 
 def _swing(x: Scores) -> Course | None:
-    """Segments one period apart agree: the strongest of all waves.
+    """Test whether the parameter oscillates, with the strongest of all waves.
 
-    If a parameter oscillates by A cos(w t), sum s_b e^(i w t) has the expectation A/2 sum h_b. Each
-    drive has its own phase.
+    If a parameter oscillates as A cos(w t), the expectation of sum s_b e^(i w t) is A/2 sum h_b.
+    Each drive has its own phase.
     """
     table, hz = x.table, _frequencies(x.table)
     if not len(hz):
@@ -161,7 +166,7 @@ def _swing(x: Scores) -> Course | None:
     image = (apart[:, :, None] * waves[:, None, :]).reshape(table.blocks, -1)
 
     def power(z: Array) -> Array:
-        """(N, F) power of the drives' sums along the waves (N, D F)."""
+        """Return the power (N, F) of the sums along the waves (N, D F), summed over the drives."""
         return np.asarray((np.abs(z.reshape(len(z), -1, len(hz))) ** 2).sum(axis=1))
 
     own, info = power((x.s @ image)[None])[0], float(np.sum((x.h @ apart) ** 2)) / 2.0
@@ -176,15 +181,16 @@ def _swing(x: Scores) -> Course | None:
 
 
 def _frequencies(table: Table) -> Array:
-    """(F,) frequencies of waves that repeat within a drive, up to one wave per two segments
-    [Hz]."""
+    """Return the frequencies (F,) of waves that repeat within a drive [Hz]. The largest is one wave
+    per two segments."""
     last = [float(np.ptp(table.start_s[table.drive == d])) for d in np.unique(table.drive)]
     whole = max(last) + table.seconds
     return np.arange(LEAST_WAVES, int(whole / (2.0 * table.seconds)) + 1) / whole
 
 
 def _step(x: Scores) -> Course | None:
-    """The parameter is another one from some moment on, fitted together with the known courses."""
+    """Test whether the parameter has another value from some moment on. The known patterns are
+    fitted too."""
     B = len(x.s)
     after = np.arange(B)[:, None] >= np.arange(LEAST_SIDE, B - LEAST_SIDE + 1)
     weighted = (x.known * x.h[:, None]).T
@@ -206,7 +212,8 @@ def _step(x: Scores) -> Course | None:
 
 
 def _moment(table: Table, segment: int) -> str:
-    """Start of a segment in words; with several drives, also which drive."""
+    """Return the start of a segment in words. With several drives, the text also names the
+    drive."""
     at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
     return at if not table.drive.any() else f"{at} of drive {drive + 1}"
 
@@ -214,25 +221,26 @@ def _moment(table: Table, segment: int) -> str:
 COURSES: tuple[tuple[Callable[[Scores], Course | None], float], ...] = (
     *((partial(_near, lag=lag), EVENLY) for lag in LAGS), (_swing, EVENLY), (_step, EITHER_SIDE),
 )  # fmt: skip
-"""Each way with the number of tolerances that it may make in a correct file: the standard deviation
-of what lies anywhere within the tolerance, or the distance of its ends."""
+"""Each pattern with the number of tolerances that a correct model file may cause. For a random
+change this is the standard deviation of values within the tolerance, for a step the distance
+between the ends of the tolerance."""
 
 
 def _shared(s: Array, lag: int) -> Array:
-    """Sum of the products of neighbours up to a lag: (..., B) to (...)."""
+    """Return the sum of the products of neighbours up to a lag: (..., B) to (...)."""
     return np.asarray(
         sum(np.einsum("...b,...b->...", s[..., n:], s[..., :-n]) for n in range(1, lag + 1))
     )
 
 
 def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) -> float:
-    """Share of all permutations of s (B,) with at least the size of the actual order. image: (B,
-    F), linear map of s. size_of: maps its result (N, F) to sizes (N,).
+    """Return the share of all permutations of s (B,) whose size is at least the size of the actual
+    order. image: (B, F) linear map of s. size_of: function from the result (N, F) to sizes (N,).
 
-    Subset simulation (Au and Beck 2001): levels are set so that a tenth of the permutations at one
-    level reach the next. New permutations are made from these by exchanging two places; an exchange
-    that would fall below the level is rejected. Therefore a share of 1e-6 takes six times as many
-    draws as a share of a tenth, not 1e5 times.
+    The method is subset simulation (Au and Beck 2001). Levels are set so that a tenth of the
+    permutations at one level reach the next level. New permutations are made from these by
+    exchanging two places. An exchange that would fall below the level is rejected. A share of 1e-6
+    therefore needs six times as many draws as a share of a tenth, and not 1e5 times as many.
     """
     rng, rows, share = np.random.default_rng(0), np.arange(ORDERS), 1.0
     x = s[np.argsort(rng.random((ORDERS, len(s))), axis=1)]
@@ -263,9 +271,9 @@ def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) 
 
 
 def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> Iterator[Question]:
-    """Gains whose values in single segments differ by more than their own errors, in any order
-    (random effects). Zeros are not tested, because a segment's own zero absorbs the effect of its
-    road."""
+    """Yield questions about gains whose values in single segments differ by more than their own
+    errors, in any order (random effects). Zero errors are not tested, because the zero error of a
+    single segment absorbs the effect of its road."""
     table, z = problem.table, what_leaves(problem, drift)
     for h in hypotheses(table, state.model, []):
         if h.pattern is not None or any(key.split(".")[1] != "scale" for key in h.keys):
@@ -284,8 +292,9 @@ def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> Ite
 
 
 def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
-    """Departure of each segment from the fit along a direction d (P+1,), and its variance from the
-    segment's own noise in each equation that shows the direction."""
+    """Return the difference of each segment from the fit along a direction d (P+1,), and its
+    variance. The variance comes from the segment's own noise in each equation that shows the
+    direction."""
     energy = {n: np.einsum("i,bij,j->b", d, g, d) for n, g in table.by_equation.items()}
     total = sum(float(e.sum()) for e in energy.values())
     score, information, spread = np.zeros((3, table.blocks))
@@ -305,9 +314,9 @@ def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
 
 
 def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
-    """Standard deviation between segments beyond their errors (DerSimonian and Laird 1986), and the
-    chance of their scatter (Cochran 1954) if the true values scatter by `may`. One segment in
-    fifteen must not decide."""
+    """Return the standard deviation between segments beyond their errors (DerSimonian and Laird
+    1986), and the chance of their scatter (Cochran 1954) if the true values scatter by `may`. One
+    segment in fifteen is left out, so that it cannot decide alone."""
     far = (x - np.median(x)) ** 2 / (variance + may**2)
     kept = np.argsort(far)[: len(x) - one_in_fifteen(len(x))]
     x, variance = x[kept], variance[kept]
@@ -320,7 +329,7 @@ def _scatter(x: Array, variance: Array, may: float) -> tuple[float, float]:
 
 
 def amount(key: str, x: float) -> str:
-    """Text of a number of the model file in a familiar unit."""
+    """Return a number of the model file as a text in a familiar unit."""
     unit = PARAMETERS[key].unit
     if unit.startswith("rad"):
         x, unit = float(np.degrees(x)), f"deg{unit.removeprefix('rad')}"

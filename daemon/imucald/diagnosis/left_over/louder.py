@@ -1,11 +1,11 @@
-"""Test whether an equation's residual is larger in some segments than in others, or than in the
-drives of the model file.
+"""Test whether an equation's residual is larger in some segments than in others, or larger than in
+the drives of the model file.
 
-A model file may hold, by equation and band, the median residual of its drives' segments, with all
-parameters fitted in their box, and the scatter between segments. Roads differ too: from one class
-of ISO 8608 to the next the rms doubles. If the median residual of a later drive is larger than all
-this allows, the drive contains an effect that the file does not know. No particular shape of the
-residual is assumed.
+For each equation and frequency band, a model file may contain the median residual over the segments
+of its drives, with all parameters fitted in their box, and the scatter between segments. Roads also
+differ: from one class of ISO 8608 to the next, the rms doubles. If the median residual of a later
+drive is larger than scatter and roads allow, the drive contains an effect that the model file does
+not contain. No particular shape of the residual is assumed.
 """
 
 from __future__ import annotations
@@ -42,33 +42,35 @@ from imucald.model.model import VehicleModel
 
 SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
                   "gyro_y": 0.0}  # fmt: skip
-"""Equations that contain the road's unevenness, with the lowest frequency of this effect. From this
-frequency on, the chance is computed beyond a road of the next class. Well below its resonances (1
-Hz and more; Rajamani, ch. 10) the body follows the road. Its tilt is then the only lateral effect
-of the road, and the gyroscope carries it."""
+"""Equations that contain the road's unevenness, with the lowest frequency of this effect [Hz]. From
+this frequency on, the chance is computed beyond a road of the next class. Well below its resonances
+(1 Hz and more; Rajamani, ch. 10), the body follows the road. The only lateral effect of the road is
+then the tilt of the body, and the gyroscope measures this tilt."""
 EVEN = ("accel_x", "accel_y", "accel_z")
-"""Equations whose residuals contain no effect of the road or the springs if a gyroscope carries
-gravity."""
+"""Equations whose residuals contain no effect of the road or the springs if gravity is integrated
+with a gyroscope."""
 CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
-"""With fewer blocks, the median and the one block that must not decide cannot be separated."""
+"""Smallest number of blocks: with fewer blocks, the median and the one block that must not decide
+cannot be separated."""
 CHANCE = 0.01
-"""Chance that by noise alone more than one segment in fifteen exceeds the assumed noise."""
+"""Chance that more than one segment in fifteen exceeds the assumed noise by noise alone."""
 OF_MEDIAN = 2.0 / np.pi
-"""Ratio of the variances of mean and median for normal variables."""
+"""Ratio of the variance of the mean to the variance of the median, for normal variables."""
 SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
           2: "half of the segments have"}  # fmt: skip
 FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
 """Equations that contain no unevenness of the road."""
 FAR = 6.0
 LASTING = np.linspace(-FAR, FAR, 121)
-"""Common differences of all segments from the file's, in standard deviations."""
+"""Possible common differences between all segments and the model file, in standard deviations."""
 WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def left_of(problem: Problem, state: State) -> dict[float, Left]:
-    """By segment length [s] and equation: (B,) mean speed of each segment in motion, and (B, bands)
-    rms residual in the equation's unit, after a fit of all parameters in their box."""
+    """Return, by segment length [s] and equation, the mean speed (B,) of each segment in motion and
+    its rms residual (B, bands) in the unit of the equation. All parameters are fitted in their box
+    first."""
     changes = problem.fitted_changes()
     parts: dict[str, list[tuple[Array, Array]]] = {}
     for f in state.forwards:
@@ -83,7 +85,7 @@ def left_of(problem: Problem, state: State) -> dict[float, Left]:
 
 
 def _by_band(y: Array, mask: Mask) -> Array:
-    """Rms (B, bands) of the present rows (B, n)."""
+    """Return the rms (B, bands) of the present rows (B, n)."""
     n = y.shape[1]
     power = dct(np.where(mask, y, 0.0), type=2, axis=1, norm="ortho") ** 2
     hz = np.arange(n) / (2.0 * n * STEP_S)
@@ -94,7 +96,7 @@ def _by_band(y: Array, mask: Mask) -> Array:
 
 
 def _row(name: str, band: int) -> FamilyRow:
-    """Return the row of one number. If roads shake the vehicle at this frequency, the chance is
+    """Return the test of one number. If roads shake the vehicle at this frequency, the chance is
     computed beyond one road class."""
     low, high = BANDS_HZ[band : band + 2]
     road = float(np.log(ROAD_CLASS))
@@ -112,21 +114,21 @@ def _row(name: str, band: int) -> FamilyRow:
 
 
 LEAVES = Family(LOUDER, _row)
-"""Residuals of segments by equation and band."""
+"""Tests of the residuals of segments, by equation and band."""
 
 # single segments ---------------------------------------------------------------------------------
 
 
 def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
-    """Find segments whose residual exceeds their noise and the errors of a correct file: some of
-    them contain an effect that no parameter describes.
+    """Find segments whose residual is larger than their noise and the errors of a correct model
+    file. Some of these segments contain an effect that no parameter describes.
 
-    The noise is the median residual of the segments plus the scatter of single segments about it
-    (Fisher's F, because the median of few segments is inaccurate). The limit is such that more than
-    one segment in fifteen exceeds it with a chance of 1 % (binomial). In addition a segment may
-    contain the effect of parameters that are wrong by their tolerances. A single segment in fifteen
-    must not decide the result. drift: a named drift, which has no place in the model file; it is
-    fitted too.
+    The noise is the median residual of the segments plus the scatter of single segments about this
+    median (Fisher's F distribution, because the median of few segments is inaccurate). With the
+    limit used here, more than one segment in fifteen exceeds the limit with a chance of 1 %
+    (binomial). In addition, a segment may contain the effect of parameters that are wrong by their
+    tolerances. A single segment in fifteen must not decide the result. drift: a named drift, which
+    has no place in the model file and is therefore fitted here.
     """
     table, z = problem.table, what_leaves(problem, drift)
     found: list[Structure] = []
@@ -157,9 +159,11 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
 
 
 def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
-    """Test whether one segment in fifteen, in four or in two has a larger residual in an equation
-    and band than the model file states for its own drives. Only segments within the file's speeds
-    are used. left: from `left_of`."""
+    """Return tests for larger residuals than the model file states, in one segment in fifteen, in
+    four or in two.
+
+    Each equation and band is compared with the file's own drives. Only segments within the speed
+    range of the file are used. left: result of `left_of`."""
     return [
         question
         for seconds, own in left.items()
@@ -169,12 +173,12 @@ def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Q
 
 
 def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
-    """One question for each share of the segments, over all bands but the last. rms: (B, bands) of
-    each segment.
+    """Yield one question for an equation: the strongest result over the shares of segments and over
+    all bands except the last. rms: (B, bands) of each segment.
 
-    In equations with road unevenness, a segment may exceed the file in all bands by as much as in
-    the last band: a rougher road is rougher in every band (ISO 8608: all classes have the same
-    slope).
+    In equations with road unevenness, a segment may exceed the model file in all bands by as much
+    as in the last band: a rougher road is rougher in every band (ISO 8608: all classes have the
+    same slope).
     """
     if name not in FLAT:
         rms = rms / np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)
@@ -208,7 +212,8 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
 
 
 def _chance(x: float, k: int, n: int, spread: float, lasting: float, known: float) -> float:
-    """Chance that the k-th largest of n is x or more. Single segments scatter with the file's
-    spread (Student), and all together by the uncertainty of both medians."""
+    """Return the chance that the k-th largest of n values is x or more. Single segments scatter
+    with the spread that the model file states (Student's t distribution). All segments together
+    scatter by the uncertainty of both medians."""
     each = stdtr(known, (lasting * LASTING - x) / max(spread, 1e-9))
     return float(WEIGHT @ betainc(k, n - k + 1, each) + ndtr(-FAR))

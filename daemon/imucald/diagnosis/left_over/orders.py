@@ -2,10 +2,10 @@
 
 Order analysis (Fyfe and Munck, Analysis of computed order tracking, 1997): an effect of the wheel
 is periodic in distance, not in time. Between two samples a wheel may turn several times, and
-aliasing moves the oscillation to any frequency. The waves are therefore evaluated at the positions
-of the samples. The distance from the speed itself keeps its phase within a segment; between
-segments the phase is free. A road may be periodic with 4 m and more (concrete slabs), so such
-wavelengths are not tested.
+aliasing then moves the oscillation to any frequency. The waves are therefore evaluated at the
+positions of the samples. The distance is integrated from the speed. The integrated distance is
+accurate enough to keep the phase of a wave within a segment. Between segments, the phase is free. A
+road may be periodic with 4 m and more (concrete slabs), so such wavelengths are not tested.
 """
 
 from __future__ import annotations
@@ -25,35 +25,37 @@ from imucald.diagnosis.result import TURNS_WITH_WHEEL, Structure
 from imucald.diagnosis.search.state import State
 
 ROUND_M = 1.5, 2.3
-"""Circumference of a tyre of a passenger car or van: 155/65 R13 is 1.60 m, 235/65 R17 is 2.27 m."""
+"""Smallest and largest circumference of a tyre of a passenger car or van [m]: 155/65 R13 has 1.60
+m, 235/65 R17 has 2.27 m."""
 ONCE = {1: "once", 2: "twice"}
-"""Oscillations per turn: of a wheel that is not centred, and of an oval one."""
+"""Oscillations per turn of the wheel: one for a wheel that is off-centre, two for an oval wheel."""
 RUN_OUT = 1.5 / 300.0
-"""Allowed share of the radius: a less round tyre must be replaced (1.5 mm, workshop manuals of
-cars). A ring of teeth or magnets in a bearing is rounder."""
+"""Allowed run-out as a share of the radius: a tyre with a larger run-out must be replaced (1.5 mm,
+workshop manuals of cars). A ring of teeth or magnets in a bearing has a smaller run-out."""
 DRIVING_MPS = 3.0
 LEAST_KNOTS = 20
 LEAST_SEGMENTS = 6
 SLOW_TERMS = 6
 """Number of polynomials that absorb drifts within a segment: up to about 0.1 Hz in 30 s."""
 FREE = 4.0
-"""Fewest coefficients of the residual beyond the fitted ones."""
+"""Smallest number of knots of a segment for every two removed columns."""
 FINE = 2.0
-"""Ratio of the number of tested waves to the number that a segment's length resolves."""
+"""Ratio of the number of tested waves to the number of waves that the length of a segment
+resolves."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Consecutive speed samples (knots) of a segment; arrays (n,)."""
+    """Consecutive speed samples (knots) of a segment. Arrays are (n,)."""
 
     way: Array
     """Travelled distance [m]."""
     speed: Array
-    """Speed from the accelerometer and the slow parts of the speed signal [m/s]."""
+    """Speed from the accelerometer, with the slow parts of the speed signal [m/s]."""
     left: Array
-    """Speed minus the accelerometer's speed [m/s], slow parts removed."""
+    """Speed signal minus the speed from the accelerometer [m/s]. Slow parts are removed."""
     known: Array
-    """(n, q) orthonormal columns that were removed."""
+    """Orthonormal columns (n, q) that were removed."""
 
 
 def orders(problem: Problem, state: State) -> list[Question]:
@@ -62,7 +64,8 @@ def orders(problem: Problem, state: State) -> list[Question]:
 
 
 def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[Question]:
-    """Questions for drives with their model. changes: the fit within its box."""
+    """Return the questions for drives with their model. changes: fit of the parameters within their
+    box."""
     some = [s for f in forwards for s in _stretches(f, changes)]
     if len(some) < LEAST_SEGMENTS:
         return []
@@ -76,7 +79,7 @@ def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[
 
 
 def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
-    """turns: (F,) waves per metre."""
+    """Return the question about the strongest wave. turns: (F,) waves per metre."""
     gains, powers, energies = (np.empty((len(some), len(turns))) for _ in range(3))
     for b, s in enumerate(some):
         gains[b], powers[b], energies[b] = _of_stretch(s, turns)
@@ -98,8 +101,8 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
 
 
 def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
-    """By wave (F,): gain in log likelihood from an oscillating gain of the speed, its power beyond
-    noise, and the energy of an oscillation of 1."""
+    """Return three values for each wave (F,): the gain in log likelihood from an oscillating gain
+    of the speed, its power beyond noise, and the energy of an oscillation with amplitude 1."""
     phase = 2.0 * np.pi * np.outer(s.way, turns)
     X = np.stack([np.cos(phase), np.sin(phase)]) * s.speed[:, None]
     X -= s.known @ (s.known.T @ X)
@@ -117,7 +120,7 @@ def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
 
 
 def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
-    """The longest part of each segment with all needed data."""
+    """Yield, for each segment, the longest part that has all needed data."""
     found, masks = f.residuals(changes), f.usable()
     if "accel_x" not in found.of or not f.has_gravity:
         return

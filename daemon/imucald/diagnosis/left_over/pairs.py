@@ -1,11 +1,12 @@
-"""Test every pair of signals for an error of one that depends on the other.
+"""Test every pair of signals for an error of one signal that depends on the other signal.
 
 A parameter of the model file is one number, and a cause of the catalogue is linear in the signals.
-But a sensor's error may also depend on the speed, on the direction of turning, or on how hard the
-vehicle was driven shortly before. A zero that does so is an even or nonlinear function of the other
-signal. A gain or a delay that does so is a product of two signals (Volterra terms of second order;
-as a test of a linear model: Ramsey 1969; Lee, White and Granger 1993). The zero, gain and delay of
-every sensor are tested with every condition, by the physics of the equations.
+However, a sensor's error may also depend on the speed, on the direction of turning, or on hard
+driving shortly before. A zero error that depends on another signal is an even or nonlinear function
+of this signal. A gain or a delay that depends on another signal is a product of two signals
+(Volterra terms of second order; as a test of a linear model: Ramsey 1969; Lee, White and Granger
+1993). The zero error, gain and delay of every sensor are tested with every condition, by the
+physics of the equations.
 """
 
 from __future__ import annotations
@@ -34,44 +35,47 @@ from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
 SMOOTH_S = 1.0
-"""Turning and braking manoeuvres last longer than this."""
+"""Averaging time of turning and acceleration [s]. Manoeuvres last longer than this."""
 CRAWL_MPS = 3.0
 SHAKEN_S = (3.0, 10.0)
-"""Lengths of time over which vibration is averaged, up to those that a segment's tilt absorbs."""
+"""Averaging times of the vibration [s]. The longest is the time whose effects the tilt of a segment
+absorbs."""
 LARGE = (1.0, 2.0)
-"""Levels, in multiples of the rms, above which a value may leave an after-effect: octaves, so one
-lies within a factor of 1.4 of most true levels."""
+"""Levels, in multiples of the rms, above which a value may have an after-effect. The levels are an
+octave apart, so most true levels are within a factor of 1.4 of a tested level."""
 AFTER_STOP_S = 60.0
 MEMORY_S = 20.0
-"""Time constant of the memory: between the length of a bend and that of a segment."""
+"""Time constant of the memory [s]: between the length of a bend and the length of a segment."""
 SPEEDS = ("the speed", "crawling", "the time since standing")
 
 
 def _last(what: str, level: float) -> str:
-    """Name of the condition: the direction of the last value above a multiple of the rms."""
+    """Return the name of a condition: the direction of the last value above a multiple of the
+    rms."""
     return f"the last {what} above {level:g} times the rms"
 
 
 EITHER_WAY = ("accelerating and braking", *(_last("acceleration", n) for n in LARGE))
 TO_ONE_SIDE = ("the direction of turning", *(_last("turning", n) for n in LARGE))
-"""Conditions that change sign when left and right are exchanged; a vehicle is symmetric to that."""
+"""Conditions that change sign when left and right are exchanged. A vehicle is symmetric in this
+respect."""
 STAMPS = "the deviation of its time stamps from a constant cycle"
 PAUSE_S = 10.0
-"""After a longer gap a sender starts again at any phase of its cycle."""
+"""Gap [s] after which a sender starts again at any phase of its cycle."""
 ENDS = (0.05, 0.95)
 BEYOND = 0.5
-"""Distance to which a condition is followed beyond the two percentiles, relative to their
-distance."""
+"""Distance beyond the two percentiles up to which a condition is followed, relative to the distance
+between the percentiles."""
 ZERO, GAIN, LATE, ASIDE = "zero", "gain", "delay", "place"
 PARTS = 4
-"""Parts of a segment whose scatter is used: a bend or a braking lasts some seconds."""
+"""Number of parts of a segment whose scatter is used: a bend or a braking lasts some seconds."""
 LEAST_PARTS = 10.0
-"""Fewest parts that carry the information on an error."""
+"""Smallest number of parts that contain the information on an error."""
 LEAST_BLOCKS = 6
 OWN_SHARE = 0.1
-"""Smallest share of a column's energy that the catalogue's columns do not explain. With less, its
-value depends on the errors of those columns (a variance inflation factor of ten; Marquardt
-1970)."""
+"""Smallest share of a column's energy that the catalogue's columns do not explain. With a smaller
+share, the column's value depends on the errors of the catalogue's columns (a variance inflation
+factor of ten; Marquardt 1970)."""
 HALF_KMH = 0.5 / 3.6
 """Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
 BEND_MPS = 10.0
@@ -80,11 +84,10 @@ OWN: Mapping[str, tuple[tuple[str, ...], str, float]] = {
     "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
     "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
 }
-"""Zeros whose condition is the sign of the signal itself: a wrong gain has the same effect at
-strong values."""
+"""Zero errors whose condition is the sign of the signal itself. A gain error has the same effect at
+large values."""
 PRIOR = 3.0
-"""Divided by the square of a half width, this is the information of a uniform distribution within
-it."""
+"""Information of a uniform distribution within a half width, times the square of the half width."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,8 @@ class Error:
     signal: str
     kind: str
     key: str
-    """The similar parameter of the catalogue, whose tolerance is used; empty: the speed's zero."""
+    """The similar parameter of the catalogue, whose tolerance is used; empty for the speed's zero
+    error."""
     axis: int | None = None
 
 
@@ -126,12 +130,12 @@ ERRORS = (
     Error("the steering angle's delay", "steering", LATE, "steering.delay_s"),
 )  # fmt: skip
 Asked = tuple[Error, str]
-"""An error, and a condition that it may depend on."""
+"""An error, and a condition on which the error may depend."""
 
 
 def pairs(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """One question for each error of a sensor with each condition. drift: a named drift, which has
-    no place in the model file and differs in each segment."""
+    """Return one question for each error of a sensor with each condition. drift: a named drift,
+    which has no place in the model file and differs in each segment."""
     table = problem.table
     fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
     fitted[table.number] = -what_leaves(problem, drift)[:, 1:]
@@ -141,8 +145,8 @@ def pairs(problem: Problem, state: State, drift: Hypothesis | None) -> list[Ques
 def asked_of(
     forwards: Sequence[Forward], model: VehicleModel, table: Table, x: Array
 ) -> list[Question]:
-    """Questions for drives with a model file and its table. x: (all blocks, P) departures that fit
-    their segments."""
+    """Return the questions for drives with a model file and its table. x: (all blocks, P) parameter
+    differences that fit each segment."""
     if not all(f.has_gravity for f in forwards):
         return []  # the road's slope is not removed and correlates with anything
     some = [conditions(f) for f in forwards]
@@ -162,10 +166,12 @@ def asked_of(
 
 
 def _can_be_asked(error: Error, condition: str) -> bool:
-    """True if an error can be tested with a condition. A tyre responds after a distance, not a time
-    (relaxation length, Pacejka, ch. 5), so in every vehicle the delay in turns depends on the
-    speed. A zero that depends on its own signal is a gain. Stamps that leave their cycle are those
-    of the speed."""
+    """True if an error can be tested with a condition.
+
+    A tyre responds after a distance and not after a time (relaxation length, Pacejka, ch. 5), so in
+    every vehicle the delay in turns depends on the speed. A zero error that depends on its own
+    signal is a gain error. The condition about time stamps is about the time stamps of the speed.
+    """
     if error.kind == ZERO and error.signal == "speed" and condition == SPEEDS[0]:
         return False
     if condition == STAMPS:
@@ -176,8 +182,9 @@ def _can_be_asked(error: Error, condition: str) -> bool:
 
 
 def may_be(error: Error, condition: str, model: VehicleModel) -> float:
-    """Error that a correct file may have, including that of the equations. The error of the
-    equations is left out for conditions in which only an asymmetric vehicle would cause it."""
+    """Return the error that a correct model file may have, including the error of the equations.
+    The error of the equations is left out if only an asymmetric vehicle could cause it under this
+    condition."""
     if not error.key:
         # A delayed speed is wrong by the delay times the acceleration.
         late = tolerance(model, DELAY) + SD_95 * model_error(model, DELAY)
@@ -201,15 +208,16 @@ def may_be(error: Error, condition: str, model: VehicleModel) -> float:
 def _added(
     f: Forward, model: VehicleModel, asked: Sequence[Asked], some: Mapping[str, Array]
 ) -> Iterator[tuple[dict[str, Array], float]]:
-    """Effect of an error that grows by one over the range of a condition, times a step."""
+    """Yield the effect of an error that grows by one step over the range of a condition, and this
+    step."""
     for error, name in asked:
         step = may_be(error, name, model)
         yield {error.signal: step * (some[name] * _unit(f, error).T).T}, step
 
 
 def _unit(f: Forward, error: Error) -> Array:
-    """(N,), or (N, 3) along the vehicle: effect of a zero, a gain or a delay of 1, or
-    of a place 1 m to the left."""
+    """Return the effect of a zero error, a gain error or a delay of 1, or of a position 1 m to the
+    left: (N,), or (N, 3) along the vehicle's axes."""
     if error.kind == ZERO:
         if error.axis is None:
             return np.ones(len(f.t))
@@ -224,9 +232,9 @@ def _unit(f: Forward, error: Error) -> Array:
 
 
 def _scores(parts: Mapping[str, AddedRows], x: Array, prior: Array) -> tuple[Array, Array]:
-    """(B, PARTS, E) slope and curvature of the loss along each column. All columns of the
-    catalogue, within their plausible ranges, and the tilt are projected out (Frisch and Waugh).
-    Both are zero for a column that these explain."""
+    """Return slope and curvature of the loss along each column (B, PARTS, E). The tilt and all
+    columns of the catalogue, within their plausible ranges, are projected out first (Frisch and
+    Waugh). Slope and curvature are zero for a column that the catalogue explains."""
     rows = list(whitened(parts, x).values())
     P = x.shape[1]
     flat = [a.reshape(-1, a.shape[2])[:, 1:] for a in rows]
@@ -244,13 +252,13 @@ def _scores(parts: Mapping[str, AddedRows], x: Array, prior: Array) -> tuple[Arr
 
 
 def _in_time(a: Array) -> Array:
-    """(B, n, E) time series from coefficients (B, K, E); n is a multiple of `PARTS`."""
+    """Return time series (B, n, E) from coefficients (B, K, E). n is a multiple of `PARTS`."""
     n = -(-a.shape[1] // PARTS) * PARTS
     return np.asarray(idct(a, type=2, axis=1, norm="ortho", n=n))
 
 
 def _by_part(a: Array, b: Array) -> Array:
-    """(B, PARTS, E) sums of the products of two arrays, by part of each block."""
+    """Return the sums (B, PARTS, E) of the products of two arrays, by part of each block."""
     product = a * b
     return np.asarray(product.reshape(len(a), PARTS, a.shape[1] // PARTS, -1).sum(axis=2))
 
@@ -296,32 +304,35 @@ def _questions(
 
 @dataclass(frozen=True)
 class PairTest:
-    """Result of one question. over: scatter divided by that of noise alone, with `free` degrees of
-    freedom. gain: nats on blocks that its fit did not use."""
+    """Result of one question. over: scatter divided by the scatter of noise alone. free: degrees of
+    freedom of `over`. gain: nats on blocks that the fit did not use."""
 
     value: float
     by_rows: float
-    """Size of the effect in standard deviations, by the noise of all rows."""
+    """Size of the effect in standard deviations, computed with the noise of all rows."""
     over: float
     free: float
     gain: float
 
     def sigma(self, over: float) -> float:
-        """Its size in standard deviations with a scatter; at most that by the noise of all rows."""
+        """Return the size of the effect in standard deviations, computed with a scatter. The result
+        is at most the size with the noise of all rows."""
         return self.by_rows / float(np.sqrt(max(over, 1.0)))
 
     def chance(self, over: float, free: float) -> float:
-        """Its chance with a scatter that has `free` degrees of freedom."""
+        """Return the chance of the effect, computed with a scatter that has `free` degrees of
+        freedom."""
         by = self.by_rows / float(np.sqrt(max(over, 1e-300)))
         return chance_of_both(by, free, self.by_rows)
 
 
 def _test(u: Array, h: Array) -> PairTest:
-    """u, h: (B, PARTS) slope and curvature of the loss.
+    """Return the result of one question. u, h: (B, PARTS) slope and curvature of the loss.
 
-    Its standard deviation comes from the scatter between parts of segments or between segments,
-    whichever is larger, with the effective number of these as degrees of freedom. Another one comes
-    from the noise of all rows.
+    One standard deviation is computed from scatter, either between parts of segments or between
+    segments; the larger one is used. The degrees of freedom of this standard deviation are the
+    effective number of parts or segments. A second standard deviation is computed from the noise of
+    all rows.
     """
     information = float(h.sum())
     value = float(u.sum()) / information
@@ -335,9 +346,12 @@ def _test(u: Array, h: Array) -> PairTest:
 
 
 def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
-    """Standard deviation of a sum of slopes u, from the scatter of their residuals, single and with
-    neighbours; and the effective number of slopes with information, (sum h)^2 / sum h^2 (Carter,
-    Schnepel and Steigerwald 2017)."""
+    """Return the size of a sum of slopes u in standard deviations, and the effective number of
+    slopes.
+
+    The standard deviation is computed from the scatter of the residuals of single slopes, or of
+    slopes with their neighbours. The effective number is (sum h)^2 / sum h^2 (Carter, Schnepel and
+    Steigerwald 2017)."""
     scatter = max(float(s[0, 0]) for s in scatters(left.reshape(-1, 1), 1))
     count = max(float(h.sum() ** 2 / (h**2).sum()), 2.0)
     return abs(float(u.sum())) / float(np.sqrt(max(scatter, 1e-300))), count
@@ -347,8 +361,8 @@ def _deviations(u: Array, h: Array, left: Array) -> tuple[float, float]:
 
 
 def conditions(f: Forward) -> dict[str, Array]:
-    """(N,) by name: scaled from -0.5 at the 5th to 0.5 at the 95th percentile of the rows in
-    motion."""
+    """Return the conditions (N,) by name. Each condition is scaled from -0.5 at the 5th percentile
+    to 0.5 at the 95th percentile of the rows in motion."""
     v = f.amount_of_speed()
     moves = v > STANDING_MPS
     if not moves.any():
@@ -372,7 +386,8 @@ def conditions(f: Forward) -> dict[str, Array]:
 
 
 def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
-    """Direction and amount of a quantity (N,), now and in the recent past. Its scale is its rms."""
+    """Return direction and amount of a quantity (N,), now and in the recent past. The scale is the
+    rms of the quantity."""
     z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
     rows, amount = np.arange(len(z)), np.abs(z)
     last = {n: np.maximum.accumulate(np.where(amount > n, rows, 0)) for n in LARGE}
@@ -385,7 +400,7 @@ def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
 
 
 def _accelerating(f: Forward) -> Array:
-    """(N,) slope of the speed [m/s^2]."""
+    """Return the slope of the speed (N,) [m/s^2]."""
     knots: Channel = f.drive.knots
     slopes = np.diff(knots.values) / np.diff(knots.t)
     return _smooth(np.interp(f.t, 0.5 * (f.knots[1:] + f.knots[:-1]), slopes))
@@ -397,22 +412,23 @@ def _smooth(x: Array) -> Array:
 
 
 def _since(stands: Mask) -> Array:
-    """(N,) time since the vehicle last stood [s]; infinite before its first stop."""
+    """Return the time since the vehicle last stood (N,) [s]; infinite before its first stop."""
     rows = np.arange(len(stands))
     last = np.maximum.accumulate(np.where(stands, rows, -1))
     return np.where(last >= 0, (rows - last) * STEP_S, np.inf)
 
 
 def _remembered(x: Array) -> Array:
-    """(N,) mean of the past with exponential weights, time constant `MEMORY_S`."""
+    """Return the mean of the past (N,) with exponential weights. The time constant is
+    `MEMORY_S`."""
     share = 1.0 - np.exp(-STEP_S / MEMORY_S)
     made, _ = lfilter([share], [1.0, share - 1.0], x, zi=[x[0] * (1.0 - share)])
     return np.asarray(made)
 
 
 def shaken(f: Forward, seconds: float) -> Array:
-    """(N,) mean square of the accelerometer's differences about each time, scaled so that the
-    smoothest and the roughest twentieth of the drive are 1 apart."""
+    """Return the mean square (N,) of the accelerometer's differences around each time. The scale is
+    such that the smoothest and the roughest twentieth of the drive differ by 1."""
     accel = f.drive.channels["accel"]
     power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
     area = np.concatenate([[0.0], np.cumsum(power)])
@@ -423,11 +439,13 @@ def shaken(f: Forward, seconds: float) -> Array:
 
 
 def off_cycle(t: Array) -> Array:
-    """(N,) delay of stamps against a constant cycle [s]. t: (N,) stamps [s], ascending.
+    """Return the delay (N,) of time stamps relative to a constant cycle [s]. t: (N,) time stamps
+    [s], ascending.
 
-    A cyclic sender gives cyclic stamps. If stamps leave the cycle, either the sender left it or the
-    stamping clock is wrong; a delay that follows them shows the second. Steps are counted in whole
-    cycles, so a lost frame does not delay the next one.
+    A cyclic sender gives cyclic time stamps. If time stamps leave the cycle, either the sender left
+    the cycle or the clock of the time stamps is wrong. If the delay of the signal follows the time
+    stamps, the clock is wrong. Steps are counted in whole cycles, so a lost frame does not delay
+    the next frame.
     """
     steps = np.diff(t)
     cycle = float(np.median(steps))

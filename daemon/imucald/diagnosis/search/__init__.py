@@ -1,8 +1,9 @@
-"""From a table of blocks to named causes: those that improve the prediction of data outside their
-fit.
+"""Search for causes on a table of blocks. A cause is named if it improves the prediction of data
+outside its fit.
 
-`trials` tests each hypothesis with its parameters freed. `search` lets the hypotheses compete.
-`standing` tests each again with the others. `shift` looks for a sensor turned in mid-drive.
-`low_pass` separates low-passes from delays. `state` holds the results so far and the model moved by
-them. Modules here call `fit` and `equations`. `left_over` and the room above call them.
+`trials` tests each hypothesis with its parameters freed. `search` selects the best hypothesis, step
+by step. `standing` tests each named cause again together with the others. `shift` looks for a
+sensor that is rotated in the middle of a drive. `low_pass` distinguishes low-pass filters from
+delays. `state` has the present results and the model with these results. Modules of this package
+call `fit` and `equations`. `left_over` and the modules of `diagnosis` call this package.
 """

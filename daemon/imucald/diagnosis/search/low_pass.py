@@ -1,15 +1,18 @@
-"""Decide whether a late signal has a delay or a low-pass, by one likelihood of both.
+"""Decide whether a late signal has a delay or a low-pass filter, by comparing the likelihoods of
+delay and filter.
 
-A delay x has the phase w x and the gain 1. A low-pass of first order has the phase atan(w T) and
-the gain 1/sqrt(1 + (w T)^2), a Butterworth filter of second order arctan(w T/(1 - (w T)^2/2)) and
-1/sqrt(1 + (w T)^4/4): all have the delay x = T well below the cut-off, and differ by (w T)^2/2, or
-by (w T)^3/6. Therefore a found delay is compared with filters of about the same delay. The model
-with the delay gets a further column: the difference between filter and delay, with a factor of 0
-(delay) or about 1 (filter). All delays are free in both cases, so only the shape counts. One
-alternative is ruled out if it is worse by two standard errors and by the nats that name a cause,
-and if the difference in shape exceeds the error of the equations. Otherwise both remain possible. A
-delay of the speed is never ruled out: its unit counts, averages and holds, which has the shape of a
-filter (`css_canmod_164`, delayed artificially by 0.2 s, was called a low-pass).
+A delay x has the phase w x and the gain 1. A low-pass filter of first order has the phase atan(w T)
+and the gain 1/sqrt(1 + (w T)^2). A Butterworth filter of second order has the phase arctan(w T/(1 -
+(w T)^2/2)) and the gain 1/sqrt(1 + (w T)^4/4). Well below the cut-off frequency, all three have the
+delay x = T. The leading differences between the three responses are (w T)^2/2 and (w T)^3/6. A
+found delay is therefore compared with filters of about the same delay. The model with the delay
+gets a further column: the difference between filter and delay, with a factor of 0 (delay) or about
+1 (filter). All delays are free in both cases, so only the shape of the response decides. An
+alternative is ruled out under two conditions. The log-likelihood of the alternative must be lower
+by two standard errors and by the nats that name a cause. The difference in shape must exceed the
+error of the equations. Otherwise both alternatives remain possible. A delay of the speed is never
+ruled out: the speed unit counts pulses, averages and holds values, which has the shape of a filter
+(`css_canmod_164`, delayed artificially by 0.2 s, was found to have a low-pass filter).
 """
 
 from __future__ import annotations
@@ -32,15 +35,16 @@ from imucald.mount.mount_words import SD_95
 
 ORDERS = 1, 2
 LONGER = tuple(2.0 ** (k / 3.0) for k in range(-1, 4))
-"""Tested time constants, over the found delay: near its cut-off a filter's delay is less than its
-time constant."""
+"""Tested time constants, relative to the found delay. Near its cut-off frequency, a filter's delay
+is smaller than its time constant."""
 SHARE = 2.0**-0.5, 2.0**0.5
 """Range of the factor on a filter's column. The effect grows with the cube (or the square) of the
-time constant, so this range covers all time constants between two tested ones."""
+time constant, so this range covers all time constants between two tested values."""
 
 
 def delay_or_low_pass(state: State) -> None:
-    """Add a low-pass as an alternative to each named delay, or replace the delay by it."""
+    """Add a low-pass filter as an alternative to each named delay, or replace the delay by the
+    filter."""
     for cause in CAUSES:
         for trial in [t for t in state.named if t.hypothesis.name == cause.form_of]:
             late = _late(state, trial)
@@ -49,7 +53,8 @@ def delay_or_low_pass(state: State) -> None:
 
 
 def low_passes(state: State) -> dict[str, float]:
-    """By key of a delay: the part of it [s] that is a low-pass, by the named causes."""
+    """Return, by key of a delay, the part of the delay [s] that is a low-pass filter according to
+    the named causes."""
     keys = [
         k for t in state.named if BY_NAME[t.hypothesis.name].form_of for k in t.hypothesis.moved
     ]
@@ -57,7 +62,7 @@ def low_passes(state: State) -> dict[str, float]:
 
 
 def _late(state: State, trial: Trial) -> dict[str, float]:
-    """Delays of signals [s] by a trial's result."""
+    """Return the delays of signals [s] that result from a trial."""
     own = {k: state.changes[k] for k in trial.hypothesis.moved if state.changes.get(k)}
     drive = state.drives[0]
     return {
@@ -73,9 +78,11 @@ class _Filter:
     """Comparison of one filter with a delay."""
 
     more: Array
-    """(B,) nats by which it explains blocks better, with fits that did not use their fold."""
+    """Nats (B,) by which the filter explains each block better, from fits that did not use the fold
+    of the block."""
     is_apart: bool
-    """True if its difference from a delay exceeds the equations' error in a delay."""
+    """True if the difference between filter and delay exceeds the error of the equations in a
+    delay."""
 
 
 def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -> None:
@@ -98,7 +105,7 @@ def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -
 
 
 def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[_Filter]:
-    """Compare each of the filters with the delay."""
+    """Compare each filter with the delay."""
     table = problem.table
     x = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
     parts = rows_with(state.forwards, state.model, table, lambda f: _filtered(f, late))
@@ -114,7 +121,7 @@ def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[
     wide = np.append(low, SHARE[0]), np.append(high, SHARE[1])
 
     def loss(some: list[int], low: Array, high: Array) -> Array:
-        """(B,) held-out losses of these columns."""
+        """Return the held-out losses (B,) with these columns."""
         return held_out(Problem(replace(table, gram=gram[:, some][:, :, some]), low, high))
 
     delayed, total = loss(own, low, high), gram.sum(axis=0)
@@ -131,7 +138,7 @@ def _filters(state: State, problem: Problem, late: Mapping[str, float]) -> list[
 
 
 def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str, Array], float]]:
-    """For each filter, its effect on signals that are read with the equal delay instead."""
+    """Yield, for each filter, its effect on signals that are read with the equal delay instead."""
     level = {signal: level_of(f, signal) for signal in late}
     s = frequencies(len(f.t))
     for order in ORDERS:
@@ -140,9 +147,9 @@ def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str,
 
 
 def _more(y: Array, s: Complex, delay_s: float, seconds: float, order: int) -> Array:
-    """Difference between a filter with time constant `seconds` and the plain delay `delay_s` for a
-    signal y, (N,) or (N, 3). The signal is mirrored at its end, so that it does not jump from the
-    end to the start."""
+    """Return the difference between a filter with time constant `seconds` and the plain delay
+    `delay_s` for a signal y, (N,) or (N, 3). The signal is mirrored at its end, so that it has no
+    jump from the end to the start."""
     a = s * seconds
     response = np.exp(s * delay_s) / (1.0 + a + (0.5 * a * a if order == 2 else 0.0)) - 1.0
     spectrum = np.fft.rfft(np.concatenate([y, y[::-1]]), axis=0)

@@ -1,9 +1,10 @@
-"""From a table of blocks to named causes: candidates compete on data outside their fit.
+"""Search for causes on a table of blocks: candidates are compared on data outside their fit.
 
-A cause is named when its held-out gain, without the best block in fifteen, exceeds chance,
-corrected for the number of all questions; when it leaves the box of correct files; and when its
-value is plausible. Rivals within two standard errors of the paired difference, or behind by fewer
-nats than a cause needs to be named, are reported with it. Then the cause is freed, and the search
+A cause is named under three conditions. The held-out gain of the cause, without the best block in
+fifteen, exceeds chance, corrected for the number of all questions. The parameters of the cause
+leave the box of correct model files. The value of the cause is plausible. A rival is reported with
+the cause if it is within two standard errors of the paired difference, or if it is worse by fewer
+nats than a cause needs to be named. Then the parameters of the cause are freed, and the search
 starts again.
 """
 
@@ -45,9 +46,9 @@ Tick = Callable[[str], None]
 
 
 def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
-    """Name the causes that improve the prediction, one after another. Then refit all, and drop
-    those that no longer help. Other causes may take the place of a dropped one, which is not named
-    again."""
+    """Name the causes that improve the prediction, one after another. Then refit all causes, and
+    drop the causes that no longer improve the prediction. Another cause may then take the place of
+    a dropped cause. A dropped cause is not named again."""
     fallen: set[str] = set()
     while True:
         _grown(state, tick, late, skip, fallen)
@@ -80,8 +81,8 @@ def _is_ended(state: State) -> bool:
 def _grown(
     state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str], fallen: set[str]
 ) -> None:
-    """Name the causes that improve the prediction, one after another. fallen: causes that are not
-    named again."""
+    """Name the causes that improve the prediction, one after another. fallen: names of causes that
+    are not named again."""
     while len(state.named) < MOST_NAMED and not late():
         problem = state.evaluated()
         state.last = _trials(problem, state, skip)
@@ -127,9 +128,10 @@ def _grown(
 
 
 def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
-    """Drop named causes that may only be the residual of a wrong look-alike. Any of several
-    look-alikes may be the true one. If another look-alike alone predicts equally well and needs no
-    further cause, the further cause is dropped."""
+    """Drop named causes that may only be the residual of a wrong look-alike.
+
+    Each of several look-alikes may be the true cause. If another look-alike alone predicts equally
+    well and needs no further cause, the further cause is dropped."""
     for first in list(state.named):
         if first.hypothesis.pattern is not None:
             continue
@@ -168,9 +170,11 @@ def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
 
 
 def _winner(trials: Sequence[Trial]) -> Trial | None:
-    """The trial with the largest gain of those that pass. Among the forms of one cause, or causes
-    that are part of it, the simplest that passes is chosen: a growing delay is named only if its
-    growth improves the prediction by itself."""
+    """Return the trial with the largest gain among the trials that pass.
+
+    For several forms of one cause, or causes that are part of it, the simplest form that passes is
+    chosen. For example, a growing delay is named only if its growth alone improves the prediction.
+    """
     passing = [t for t in trials if t.named]
     if not passing:
         return None
@@ -186,22 +190,23 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
 
 
 def _is_form_of(t: Trial, best: Trial) -> bool:
-    """True if it is the same cause, or frees only some of the same parameters."""
+    """True if a trial has the same cause, or frees only some of the same parameters."""
     one, all_of = t.hypothesis, best.hypothesis
     is_part = one.is_plain and all_of.is_plain and set(one.keys) < set(all_of.keys)
     return one.name == all_of.name or is_part
 
 
 def _where_it_leads(problem: Problem, state: State) -> Trial | None:
-    """The best of the causes that pass where their step leads, but fail at the stated file."""
+    """Return the best of the causes that pass at the end of their step, but fail at the stated
+    model file."""
     found = [where_it_leads(state, problem, t)[0] for t in state.last if t.may_lead]
     passing = [t for t in found if t.named and t.is_plausible]
     return max(passing, key=lambda t: t.gain.sum(), default=None)
 
 
 def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
-    """A cause whose step leads beyond its plausible range, tested again at its edge. Returns the
-    trial, and the step to the tested place; no step if this did not help."""
+    """Test a cause again at the edge of its plausible range if its step leads beyond this range.
+    Returns the trial, and the step to the tested place; no step if the second test did not pass."""
     if best.is_plausible or not best.hypothesis.is_plain:
         return best, {}
     again, step = where_it_leads(state, problem, best)
@@ -214,9 +219,9 @@ def _is_near(best: Trial, other: Trial) -> bool:
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Other causes that are equal within two standard errors, or behind by fewer nats on unseen
-    data than a cause needs to be named. Causes are therefore ruled out with the same error rate as
-    they are named. Only one form of each cause is returned."""
+    """Return other causes that are equal to the best cause within two standard errors, or worse by
+    fewer nats on unseen data than a cause needs to be named. Causes are therefore ruled out with
+    the same error rate as they are named. Only one form of each cause is returned."""
     found: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.gain.sum()):
         name = t.hypothesis.name
@@ -229,8 +234,8 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
 
 
 def _take(state: State, problem: Problem, chosen: Trial) -> None:
-    """Change the model by a named hypothesis. The derivative along a direction is evaluated again
-    at the new point."""
+    """Change the model by a named hypothesis. The derivative along a direction is computed again at
+    the new point."""
     h = chosen.hypothesis
     if not h.directions:
         state.apply(problem.moves(h, beyond(chosen)))
@@ -249,7 +254,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
 
 
 def beyond(trial: Trial) -> tuple[str, ...]:
-    """The parameters of a hypothesis that leave their tolerance."""
+    """Return the parameters of a hypothesis that leave their tolerance."""
     e, h = trial.estimate, trial.hypothesis
     sure = (np.abs(e.value) - trial.tolerance) / np.maximum(e.se, 1e-30)
     far = sure > min(trial.single, float(sure.max()) * 0.999)

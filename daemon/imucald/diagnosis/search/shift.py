@@ -1,9 +1,9 @@
-"""Find a sensor that is turned in mid-drive: a step or creep of the mount, from two sources of
-evidence.
+"""Find a sensor that is rotated in the middle of a drive: a step or creep of the mount, from two
+sources of evidence.
 
-The first is kinematics (forces and turning), which does not depend on the road. The second is the
-level: mean force minus the part that motion explains, over g. The road's slope enters it only as
-long-term scatter.
+The first source is kinematics (forces and turning), which does not depend on the road. The second
+source is the level: the mean force minus the part that motion explains, divided by g. The road's
+slope affects the level only as long-term scatter.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_b
 
 KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")
 LEAST_BLOCKS, LEAST_SHARE = 4, 0.2
-"""Fewest blocks on each side of a candidate."""
+"""Smallest number of blocks, and smallest share of all blocks, before and after a candidate."""
 LEAST_TURN = 0.3 * DEG
 SEARCH = 1.3
-"""Factor on the quantile because many times are tested (Andrews 1993, for the middle 60 %)."""
+"""Factor on the quantile, because many times are tested (Andrews 1993, for the middle 60 %)."""
 AGREE_SD, SEEN_SD = 3.0, 2.0
 NEIGHBOURS = 3
 LEAST_NATS = 8.0
-"""Nats needed, as for any cause, with about thirty possible times: ln(30 / 0.01)."""
+"""Needed nats, as for any cause, with about thirty possible times: ln(30 / 0.01)."""
 
 
 @dataclass(frozen=True)
 class FittedShift:
-    """A turn (3,) [rad] about the vehicle's axes, at one time or linearly over the drive."""
+    """A rotation (3,) [rad] about the vehicle's axes, at one time or linearly over the drive."""
 
     kind: str
     """`step` or `creep`."""
@@ -41,12 +41,12 @@ class FittedShift:
     se: Array
     quantile: float
     gain: Array
-    """(B,) held-out nats."""
+    """Held-out nats (B,)."""
     shown: float
     pattern: Array
     low_s: float
     high_s: float
-    """End of the interval of time in which it happened."""
+    """End of the interval of time in which the rotation happened."""
 
     @property
     def named(self) -> bool:
@@ -55,19 +55,18 @@ class FittedShift:
 
     @property
     def beyond_tolerance(self) -> float:
-        """Largest distance of an angle beyond `LEAST_TURN`, in standard deviations."""
+        """Largest excess of an angle over `LEAST_TURN`, in standard deviations."""
         return float(np.max((np.abs(self.turn) - LEAST_TURN) / self.se))
 
     @property
     def threshold(self) -> float:
-        """The distance that a shift must exceed, in standard deviations."""
+        """Excess in standard deviations above which a shift is named."""
         return SEARCH * self.quantile
 
 
 def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
-    """The best step or creep of one drive. levels: (B, 2) mean tilt forward and left of each block.
-
-    None if the data cannot show one.
+    """Return the best step or creep of one drive; None if the data cannot show a shift. levels: (B,
+    2) mean tilt forward and left of each block.
     """
     table = problem.table
     if not set(KEYS) <= set(table.keys) or len(set(table.drive.tolist())) != 1:
@@ -95,15 +94,15 @@ def _hypothesis(pattern: Array) -> Hypothesis:
 
 
 def _in_sample(problem: Problem, pattern: Array) -> float:
-    """Nats by which a step explains the kinematics better."""
+    """Return the nats by which a pattern of the mount improves the kinematics."""
     h = _hypothesis(pattern)
     total, x = problem.widened(h)[0].sum(axis=0), problem.fit(h)
     return float(total[1:, 0] @ x - 0.5 * x @ total[1:, 1:] @ x)
 
 
 def _level_step(levels: Array, pattern: Array) -> tuple[Array, Array]:
-    """Regression of the level on a pattern: (2,) step and its standard deviation, including slow
-    changes of the road."""
+    """Return the regression of the level on a pattern: the step (2,) and its standard deviation.
+    The standard deviation includes slow changes of the road."""
     x = pattern - pattern.mean()
     step = x @ levels / (x @ x)
     left = levels - levels.mean(axis=0) - np.outer(x, step)
@@ -122,7 +121,7 @@ def _level_gain(levels: Array, pattern: Array) -> float:
 def _shift(
     problem: Problem, levels: Array, pattern: Array, kind: str, table: Table, place: int
 ) -> FittedShift:
-    """Combine both sources of evidence, weighted by their variances."""
+    """Combine both sources of evidence, weighted by the inverse of their variances."""
     h = _hypothesis(pattern)
     e = estimate(problem, h, 3)
     gain = held_out(problem) - held_out(problem, h)

@@ -1,4 +1,4 @@
-"""Test each named cause again together with the others."""
+"""Test each named cause again together with the other causes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from imucald.diagnosis.search.trials import Trial, tried
 
 
 def asked_again(state: State, trial: Trial) -> Trial:
-    """Test a hypothesis against the box of correct files, starting from the model that it has
-    moved."""
+    """Test a hypothesis again, relative to the box of correct model files. The test starts from the
+    model that the hypothesis has changed."""
     problem, h = state.evaluated(), trial.hypothesis
     kept = [k for k in h.keys if k in state.changes]
     index = [h.keys.index(k) for k in kept]
@@ -30,13 +30,14 @@ def asked_again(state: State, trial: Trial) -> Trial:
 
 
 def where_it_leads(state: State, problem: Problem, trial: Trial) -> tuple[Trial, dict[str, float]]:
-    """Test a plain cause again at the end of its step, or at the edge of the plausible range if
-    that comes first. Returns the trial and the step.
+    """Test a plain cause again at the end of its step, or at the edge of the plausible range if the
+    edge is nearer. Returns the trial and the step.
 
-    A column is a derivative and holds for small steps only: 0.002 of understeer at 20 m/s changes
-    its own column by a fifth, for a ratio that is a third lower a linear step leads to half of it,
-    and a speed delayed by 0.2 s differs much where it changes fast. The likelihood ratio must be
-    that of the best value, not that of one linear step.
+    A column is a derivative, which is valid for small steps only. There are three examples. A
+    change of understeer by 0.002 at 20 m/s changes its own column by a fifth. For a steering ratio
+    that is a third too large, a linear step leads to half of the error. A speed with a delay of 0.2
+    s differs much where the speed changes fast. The likelihood ratio must be computed at the best
+    value, and not at the end of one linear step.
     """
     table, step = problem.table, problem.moves(trial.hypothesis)
     for key, x in step.items():
@@ -47,8 +48,8 @@ def where_it_leads(state: State, problem: Problem, trial: Trial) -> tuple[Trial,
 
 
 def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
-    """Return the same problem with these parameters limited to the box about the stated file, from
-    which the model has moved."""
+    """Return the same problem with these parameters limited to the box around the stated model
+    file. The model has already moved away from this file."""
     low, high = problem.low.copy(), problem.high.copy()
     for key in keys:
         i, x = problem.table.keys.index(key), state.changes.get(key, 0.0)
@@ -58,9 +59,9 @@ def put_back(problem: Problem, state: State, keys: Sequence[str]) -> Problem:
 
 
 def simplify(state: State, trial: Trial) -> None:
-    """Keep a growing cause only if its growth improves the prediction by itself at the moved model.
-    Otherwise the same cause without growth is named. Columns are derivatives: with a large delay
-    they may show a growth that does not exist."""
+    """Keep a growing cause only if its growth alone improves the prediction with the moved model.
+    Otherwise, name the same cause without growth. Columns are derivatives: with a large delay they
+    may show a growth that does not exist."""
     h = trial.hypothesis
     first, rest = h.keys[: h.lead], h.keys[h.lead :]
     name = next((c.name for c in CAUSES if rest in c.variants), None)
@@ -89,9 +90,9 @@ def simplify(state: State, trial: Trial) -> None:
 
 
 def eliminate(state: State, late: Callable[[], bool]) -> None:
-    """Backward elimination: each cause, weakest first, is tested again from the model that the
-    others alone give. A greedy start may have named a look-alike, or used a derivative at the wrong
-    place."""
+    """Do a backward elimination: test each cause again, the weakest first, from the model of the
+    other causes alone. The search may have named a look-alike first, or used a derivative at a
+    wrong point."""
     asked: set[str] = set()
     while len(state.named) > 1 and not late():
         left = [t for t in state.named if t.hypothesis.name not in asked]
@@ -113,7 +114,7 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
 
 
 def without(state: State, trial: Trial) -> State:
-    """State with the other causes alone, fitted again."""
+    """Return the state with the other causes only, fitted again."""
     h = trial.hypothesis
     keys = h.moved
     less = replace(
@@ -129,8 +130,8 @@ def without(state: State, trial: Trial) -> State:
 
 
 def _drop(state: State, less: State, trial: Trial) -> None:
-    """Remove a cause that fails the test together with the others. less: the state of the
-    others."""
+    """Remove a cause that fails the test together with the other causes. less: state of the other
+    causes."""
     state.named.remove(trial)
     state.doubtful.append(trial)
     state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
@@ -139,8 +140,8 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 def demote(state: State) -> None:
     """Drop causes that would not be named again together with all others, and causes that may be
-    beyond their plausible range. The latter are reported as implausible: something else explains
-    them."""
+    beyond their plausible range. A cause beyond its plausible range is reported as implausible,
+    because another effect explains it."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None:
             again = asked_again(state, trial)
@@ -152,7 +153,7 @@ def demote(state: State) -> None:
 
 
 def set_aside(state: State, trial: Trial) -> None:
-    """Reduce a named cause to one that is not ruled out."""
+    """Change a named cause to a cause that is not ruled out."""
     if trial.hypothesis.pattern is None:
         _drop(state, without(state, trial), trial)
     else:  # it has no place in the model file, so the model stays
@@ -161,8 +162,7 @@ def set_aside(state: State, trial: Trial) -> None:
 
 
 def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial]) -> None:
-    """Fit the other equations alone. Of some causes (`stands`), only those that would be named
-    again stay."""
+    """Fit without some equations. A cause of `stands` is kept only if it would be named again."""
     state.leave_out(equations, stands)
     if state.named:
         refit(state)
@@ -172,7 +172,7 @@ def leave_out(state: State, equations: Collection[str], stands: Sequence[Trial])
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
-    """Reduce named causes to "not ruled out" if something else may explain them: the fit assigns
-    them the effect of the other thing."""
+    """Change named causes to "not ruled out" if another effect may explain them. In this case, the
+    fit assigns the other effect to these causes."""
     for trial in [t for t in state.named if doubts(t)]:
         set_aside(state, trial)

@@ -1,4 +1,4 @@
-"""The results of a search so far, and the model moved by them."""
+"""The present results of a search, and the model that contains these results."""
 
 from __future__ import annotations
 
@@ -30,59 +30,62 @@ from imucald.model.model import VehicleModel
 REFITS = 3
 CREEP_STEPS = 8
 SMALL_STEP = 0.05
-"""A refit has converged when no parameter moves by more than this share of its tolerance."""
+"""Share of its tolerance by which a parameter may move in a refit that has converged."""
 
 
 @dataclass
 class State:
-    """The results so far."""
+    """The present results of a search."""
 
     drives: Sequence[DriveSignals]
     stated: VehicleModel
     """The model file that is tested."""
     model: VehicleModel
-    """The model file with all found departures."""
+    """The model file with all found differences."""
     bounds: dict[str, tuple[float, float]]
-    """Bounds from direct evidence, as departures from `model`."""
+    """Bounds from direct evidence, as differences from `model`."""
     at_rest: dict[str, float] = field(default_factory=dict)
-    """Departures from `stated` that stops show; every fit keeps within `bounds` of them."""
+    """Differences from `stated` that stops show. Every fit stays within `bounds` of these
+    values."""
     changes: dict[str, float] = field(default_factory=dict)
-    """Found departures from `stated`, by key."""
+    """Found differences from `stated`, by key."""
     held: set[str] = field(default_factory=set)
-    """Parameters that moved along a direction; `bounds` keep them within their intervals."""
+    """Parameters that were moved along a direction. `bounds` keeps these parameters within their
+    intervals."""
     named: list[Trial] = field(default_factory=list)
     rivals: dict[str, list[Trial]] = field(default_factory=dict)
     implausible: list[Trial] = field(default_factory=list)
     likely: list[Trial] = field(default_factory=list)
     doubtful: list[Trial] = field(default_factory=list)
-    """Causes that were named first and withdrawn later."""
+    """Causes that were first named and later withdrawn."""
     last: list[Trial] = field(default_factory=list)
-    """All trials except the findings, for the possible size of each cause."""
+    """All trials except the findings. These trials show the possible size of each cause."""
     shift: FittedShift | None = None
     doubtful_shift: FittedShift | None = None
-    """A moved mount that was withdrawn."""
+    """A shift of the mount that was withdrawn."""
     unstated: tuple[str, ...] = ()
-    """Parameters for which the model file allows every plausible value. They are estimated, and are
-    no causes."""
+    """Parameters for which the model file allows every plausible value. These parameters are
+    estimated, and do not count as causes."""
     left_out: frozenset[str] = frozenset()
     """Equations that no fit uses, because their residuals are unexplained."""
     table: Table | None = None
     whole: Table | None = None
-    """The table including the equations that are left out."""
+    """The table with all equations, including the equations in `left_out`."""
     forwards: list[Forward] = field(default_factory=list)
     tables: KeptTables = field(default_factory=KeptTables)
-    """Tables that this state shares with the states derived from it."""
+    """Tables that this state and the states derived from it have in common."""
     _evaluated: VehicleModel | None = None
 
     @property
     def free(self) -> list[str]:
-        """Parameters that were found to be wrong; they are fitted with all others."""
+        """Parameters that were found to be wrong. These parameters are fitted together with all
+        other parameters."""
         return [key for key in self.changes if key not in self.held]
 
     @property
     def found(self) -> list[str]:
         """Parameters that were found to be wrong. A zero error that a gain moves by less than its
-        tolerance may still be wrong by itself."""
+        tolerance is not included, because it may still be wrong by itself."""
         return [
             key
             for key, x in self.changes.items()
@@ -90,7 +93,7 @@ class State:
         ]
 
     def evaluated(self) -> Problem:
-        """Compare the drives with the present model."""
+        """Evaluate the drives with the present model."""
         if self.table is None or self._evaluated != self.model:
             self.whole, self.forwards = self.tables.table_for(self.drives, self.model)
             self.table = self.whole.without(self.left_out)
@@ -100,13 +103,13 @@ class State:
         )
 
     def withdraw_shift(self) -> None:
-        """Reduce a moved mount to "not ruled out"."""
+        """Change a shift of the mount to "not ruled out"."""
         self.doubtful_shift, self.shift = self.shift, None
         self.apply({})
 
     def leave_out(self, equations: Collection[str], stands: Sequence[Trial]) -> None:
-        """Exclude some equations from all fits. Of the named causes, `stands` stay with their
-        parameters; the others are reduced to "not ruled out"."""
+        """Exclude some equations from all fits. The named causes `stands` are kept with their
+        parameters. The other named causes are changed to "not ruled out"."""
         keys = {key for t in stands for key in t.hypothesis.moved}
         if stands:
             self.evaluated()
@@ -124,7 +127,7 @@ class State:
         self.apply({})
 
     def apply(self, changes: Changes) -> None:
-        """Move the model by found departures."""
+        """Change the model by found differences."""
         for key, x in changes.items():
             self.changes[key] = self.changes.get(key, 0.0) + x
         middle = self.forwards[0].middle_s if self.forwards else 0.0
@@ -137,7 +140,8 @@ class State:
 
 
 def estimate_unstated(state: State) -> None:
-    """Move the stated model to the likeliest values of what the file does not state."""
+    """Move the stated model to the most likely values of the parameters that the model file does
+    not state."""
     keys = state.evaluated().table.keys
     state.unstated = tuple(k for k in keys if is_unstated(state.stated, k))
     state.bounds |= {k: plausible(state.stated, k) for k in state.unstated}
@@ -154,7 +158,7 @@ def estimate_unstated(state: State) -> None:
 
 
 def refit(state: State) -> None:
-    """Fit all found parameters together, and evaluate the model again at the result."""
+    """Fit all found parameters together, and evaluate the model again with the result."""
     for _ in range(REFITS):
         problem = state.evaluated()
         x = problem.fit()
@@ -170,7 +174,7 @@ def _size(problem: Problem, key: str) -> float:
 
 
 def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
-    """Turns by time: one step, or a creep as a staircase."""
+    """Return rotations by time: one step, or several small steps for a creep."""
     if shift.kind == "step":
         return [(shift.start_s, shift.turn)]
     times = np.linspace(0.0, 1.0, CREEP_STEPS + 2)[1:-1]
@@ -179,8 +183,8 @@ def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
 
 
 def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
-    """By found parameter: departure from the stated model, standard deviation and quantile, with
-    the others fitted."""
+    """Return, by found parameter, the difference from the stated model, its standard deviation and
+    the quantile. The other parameters are fitted too."""
     if state.table is None or not state.changes:
         return {}
     problem = state.evaluated()

@@ -1,4 +1,4 @@
-"""Hypotheses of the catalogue, and the result of freeing each."""
+"""Hypotheses of the catalogue, and the result of freeing the parameters of each hypothesis."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, w
 from imucald.model.model import VehicleModel
 
 SINGLE = 0.05
-"""Error rate of a single question; weaker hypotheses are ignored."""
+"""Error rate of a single question. Weaker hypotheses are ignored."""
 SINGLE_NATS = -math.log(SINGLE)
-"""If nothing is wrong, a likelihood ratio on data outside the fit exceeds 1/p with a chance of at
-most p (Markov)."""
+"""Needed nats of a single question. If nothing is wrong, a likelihood ratio on data outside the fit
+exceeds 1/p with a chance of at most p (Markov)."""
 ALIKE_SE = 2.0
-"""Two causes count as equal within this many standard errors of their difference."""
+"""Number of standard errors of their difference within which two causes count as equal."""
 FALSE_SHARE = 0.2
-"""Of the causes reported as likely, one in five may be false."""
+"""Share of the causes reported as likely that may be false: one in five."""
 RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
 BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
@@ -33,32 +33,35 @@ BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 
 @dataclass(frozen=True)
 class Trial:
-    """Result of freeing a hypothesis' parameters."""
+    """Result of freeing a hypothesis's parameters."""
 
     hypothesis: Hypothesis
     estimate: Estimate
     gain: Array
-    """(B,) increase of each block's log-likelihood [nats], by a fit that did not use it."""
+    """Increase (B,) of each block's log-likelihood [nats], from a fit that did not use the
+    block."""
     shown: float
     """Sum of `gain` without the best blocks."""
     tolerance: Array
     plausible: Array
     needed: float
-    """Nats needed, corrected for the number of questions."""
+    """Needed nats, corrected for the number of questions."""
     single: float
-    """Quantile for a single question."""
+    """Quantile of Student's t for a single question."""
     reach: Array
-    """(k,) smallest departure at which a parameter that moves with it leaves its tolerance."""
+    """Smallest differences (k,) at which a parameter that moves with the hypothesis leaves its
+    tolerance."""
     number: NDArrayInt
-    """(B,) index, among all blocks of the drives, of the block of each gain."""
+    """Index (B,) of the block of each gain, among all blocks of the drives."""
 
     def ahead_of(self, other: Trial) -> tuple[float, float]:
-        """Nats by which it explains more than another trial, and their standard error."""
+        """Return the nats by which this trial is better than another trial, and their standard
+        error."""
         return paired(self.gain, other.gain, self.number, other.number)
 
     @property
     def outside(self) -> bool:
-        """True if it leaves the box of correct files by more than chance."""
+        """True if the parameters leave the box of correct model files by more than chance."""
         return self.is_beyond and self.estimate.pull > self.estimate.quantile
 
     @property
@@ -69,7 +72,8 @@ class Trial:
 
     @property
     def is_suspect(self) -> bool:
-        """As `outside`, at the error rate of a single question."""
+        """True if the parameters leave the box of correct model files, at the error rate of a
+        single question."""
         return self.is_beyond and self.estimate.pull > self.single
 
     @property
@@ -81,7 +85,8 @@ class Trial:
 
     @property
     def is_surely_plausible(self) -> bool:
-        """As `is_plausible`, with a margin of at least one standard deviation."""
+        """True if all values beyond their tolerances are plausible, with a margin of at least one
+        standard deviation."""
         v, half = self.estimate.value, self.estimate.se
         if self.hypothesis.directions:
             # A zero error within its tolerance moves the value by `reach`, so that much is no sign
@@ -93,33 +98,34 @@ class Trial:
 
     @property
     def is_testable(self) -> bool:
-        """True if the data determine its parameters better than the plausible range does."""
+        """True if the data determine the parameters better than the plausible range does."""
         e = self.estimate
         return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
 
     @property
     def may_lead(self) -> bool:
-        """True if it leaves its tolerance, so that its step is worth following."""
+        """True if a value exceeds its tolerance and the cause can be tested at the end of its
+        step."""
         return (
             self.is_beyond and self.is_testable and self.is_plausible and self.hypothesis.is_plain
         )
 
     @property
     def could_be(self) -> bool:
-        """True if it may be a rival: it improves the prediction, with a value beyond its tolerance.
-        A rival need not be significant by itself."""
+        """True if the cause may be a rival: it improves the prediction, and a value exceeds its
+        tolerance. A rival need not be significant by itself."""
         far = (np.abs(self.estimate.value) > self.reach)[: self.hypothesis.lead or None]
         return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
 
     @property
     def named(self) -> bool:
-        """True if it passes all tests of a single hypothesis."""
+        """True if the trial passes all tests of a single hypothesis."""
         return self.shown > self.needed and self.outside and self.is_testable
 
 
 def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
-    """Hypotheses for the catalogue's causes whose signals are present. skip: parameters that are
-    not asked. The other components of their vector are."""
+    """Return hypotheses for the catalogue's causes whose signals are present. skip: parameters that
+    are not tested. The other components of the same vector are tested."""
     made = []
     for cause in CAUSES:
         if cause.drift and f"{cause.name}!" in skip:
@@ -151,8 +157,8 @@ def _shows(table: Table, key: str) -> bool:
 def _hypothesis(
     cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
 ) -> Hypothesis:
-    """level: True if an accelerometer gain also changes the reading of one g. Once a zero error was
-    found, only motion shows the gain."""
+    """Return the hypothesis of a cause. level: True if an accelerometer gain also changes the
+    reading of one g. Once a zero error was found, only motion shows the gain."""
     if cause.drift:
         return Hypothesis(cause.name, keys, pattern=_ramp(table))
     if keys == cause.together:
@@ -172,7 +178,7 @@ def _hypothesis(
 
 
 def on_table(h: Hypothesis, table: Table) -> Hypothesis:
-    """Adapt a drift's pattern to the blocks of another table, since another model may use other
+    """Adapt a drift's pattern to the blocks of another table. Another model may use other
     blocks."""
     if h.pattern is None or len(h.pattern) == table.blocks:
         return h
@@ -180,7 +186,7 @@ def on_table(h: Hypothesis, table: Table) -> Hypothesis:
 
 
 def _ramp(table: Table) -> Array:
-    """Pattern that grows linearly from 0 to 1 over each drive."""
+    """Return a pattern that grows linearly from 0 to 1 over each drive."""
     made = np.zeros(table.blocks)
     for i in set(table.drive.tolist()):
         own = table.drive == i
@@ -192,8 +198,9 @@ def _ramp(table: Table) -> Array:
 def tried(
     problem: Problem, h: Hypothesis, base: Array, questions: int, null: Problem | None = None
 ) -> Trial:
-    """Free a hypothesis and score it. base: (B,) held-out losses of the box of correct files. null:
-    that box, if the model has already left it."""
+    """Free the parameters of a hypothesis and return its trial. base: (B,) held-out losses with the
+    box of correct model files. null: problem with this box, if the model has already left the box.
+    """
     gain = base - held_out(problem, h)
     index = problem.table.index(h.keys)
     t = problem.table
@@ -204,9 +211,9 @@ def tried(
 
 
 def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial]:
-    """Combine variants of one cause: each variant is added if it improves the prediction of unseen
-    data in addition to the variants before it. Three elements of a gain may well be wrong together.
-    Each combination counts as one more question."""
+    """Combine variants of one cause. A variant is added if it improves the prediction of unseen
+    data in addition to the variants before it. For example, three elements of a gain may be wrong
+    together. Each combination counts as one more question."""
     made, asked = [], len(trials)
     for cause in CAUSES:
         own = [t for t in trials if cause.joins and t.hypothesis.name == cause.name]
@@ -229,8 +236,9 @@ def _both(one: Hypothesis, other: Hypothesis) -> Hypothesis:
 
 
 def _reach(table: Table, h: Hypothesis) -> Array:
-    """Smallest departures at which a coupled parameter leaves its tolerance. A gain of 1 % that
-    moves a zero by 1 % of one g takes that zero beyond its tolerance."""
+    """Return the smallest differences at which a coupled parameter leaves its tolerance. For
+    example, a gain error of 1 % changes a zero error by 1 % of one g, which is more than the
+    tolerance of the zero error."""
     own = table.tolerance[table.index(h.keys)]
     if not h.directions:
         return np.asarray(own)
@@ -243,7 +251,7 @@ def _reach(table: Table, h: Hypothesis) -> Array:
 
 
 def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
-    """The best trial of each cause, most gain first."""
+    """Return the best trial of each cause, the trial with the most nats first."""
     best: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.shown):
         best.setdefault(t.hypothesis.name, t)
@@ -251,13 +259,14 @@ def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
 
 
 def likeliest(trials: Sequence[Trial]) -> list[Trial]:
-    """Return the causes of which at most one in five is expected to be false, over all questions
-    together, each cause tested against all rivals.
+    """Return the causes of which at most one in five is expected to be false. The share of false
+    causes is counted over all questions together. Each cause is tested against all rivals.
 
-    A likelihood ratio on unseen data is an e-value, so if the k largest of M values exceed M/(k
-    share), at most that share of them is false, for any dependence between them (e-BH; Wang and
-    Ramdas 2022). In addition, no other cause explains more in that share of resampled drives
-    (pseudo-BMA with the Bayesian bootstrap over blocks; Yao et al. 2018).
+    A likelihood ratio on unseen data is an e-value. If the k largest of M values exceed M/(k
+    share), at most this share of them is false, for any dependence between the values (e-BH; Wang
+    and Ramdas 2022). As a second condition, no other cause may explain more in a share 1 -
+    `FALSE_SHARE` of resampled drives (pseudo-BMA with the Bayesian bootstrap over blocks; Yao et
+    al. 2018).
     """
     best = list(questions(trials).values())
     nats = [t.shown - math.log(len(trials) / (FALSE_SHARE * (k + 1))) for k, t in enumerate(best)]

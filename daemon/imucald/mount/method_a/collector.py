@@ -1,4 +1,5 @@
-"""Straight intervals of variable speed, collected into manoeuvres: a braking, an acceleration."""
+"""Straight intervals of variable speed, joined into manoeuvres. A manoeuvre is one braking or one
+acceleration."""
 
 from __future__ import annotations
 
@@ -12,20 +13,22 @@ from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.target_angle import Manoeuvre, ManoeuvreBook
 
 MANOEUVRES_KEPT = 150
-"""Largest number of stored manoeuvres (about an hour of city); the oldest is dropped first."""
+"""Largest number of stored manoeuvres (about an hour in a city). The oldest manoeuvre is dropped
+first."""
 MAX_MANOEUVRE_S = 8.0
-"""A longer manoeuvre counts as several [s]."""
+"""Longest duration of a manoeuvre [s]. A longer braking or acceleration is divided into several
+manoeuvres."""
 MANOEUVRE_HOLE = 1.5
-"""Time without an accepted interval that ends a manoeuvre [s]."""
+"""Time without an accepted interval after which a manoeuvre ends [s]."""
 
 
 class ManoeuvreCollector:
-    """Keeps the open manoeuvre, and the collections of finished ones."""
+    """Keeps the open manoeuvre, and the collections of finished manoeuvres."""
 
     def __init__(self, settings: PublishedSettings) -> None:
         self._settings = settings
         self.signed = ManoeuvreBook(MANOEUVRES_KEPT)
-        """Manoeuvres for which speed shows which way is forward."""
+        """Manoeuvres with a known direction of travel: the speed shows which way is forward."""
         self.unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self.gear_known = False
         """True if a signal shows when the vehicle is in reverse."""
@@ -38,9 +41,10 @@ class ManoeuvreCollector:
     def take_interval(
         self, interval: SpeedInterval, f: Vector, along: float, lateral: float
     ) -> bool:
-        """Take an interval with speed; return True if a manoeuvre has ended and is kept.
+        """Take an interval with speed. Returns True if a manoeuvre has ended and is kept.
 
-        f: force less offset, sensor axes; along, lateral: dv/dt and v r less their offsets [m/s^2].
+        f: force minus offset in sensor axes [m/s^2]. along, lateral: dv/dt and v r minus their
+        offsets [m/s^2].
         """
         s, m = self._settings, self._open
         straight = s.calibration.straight
@@ -70,8 +74,7 @@ class ManoeuvreCollector:
         self, interval: SpeedInterval, f: Vector, R_level_from_sensor: Matrix3
     ) -> bool:
         """Take an interval without speed: a manoeuvre is recognised by the size of the level
-        force.
-        """
+        force."""
         x, y, _ = (R_level_from_sensor @ np.array(f)).tolist()
         size = math.hypot(x, y)
         if size < self._settings.calibration.straight.min_speed_change:
@@ -82,9 +85,9 @@ class ManoeuvreCollector:
         return ended
 
     def _manoeuvre(self, interval: SpeedInterval, signed: bool) -> tuple[Manoeuvre, bool]:
-        """Return the open manoeuvre if the interval belongs to it, else a new one.
+        """Return the open manoeuvre if the interval belongs to it, else a new manoeuvre.
 
-        Also return whether one ended.
+        Also returns True if the previous manoeuvre has ended and is kept.
         """
         m, ended = self._open, False
         if m is not None and (
@@ -98,7 +101,7 @@ class ManoeuvreCollector:
         return self._open, ended
 
     def end(self) -> bool:
-        """End the open manoeuvre; return True if there was one and it is kept."""
+        """End the open manoeuvre. Returns True if there was an open manoeuvre and it is kept."""
         m, self._open = self._open, None
         if m is None or abs(m.peak) < self._settings.calibration.straight.manoeuvre_peak:
             return False

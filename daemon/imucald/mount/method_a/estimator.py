@@ -1,9 +1,9 @@
 """Method A online: a `MountEstimator` that runs the published solver on ticks.
 
 The published steps are: static test, tilt, straight variable-speed motion, target angle,
-correction. Additions to them: the gate on v r, v r subtracted, dv/dt from speed for sign and
-weight, several stops combined, and the wandering offset removed. The estimator never learns from
-bad samples: an interval with a bad sample is dropped whole.
+correction. There are five additions to the publication: a limit on v r, subtraction of v r, dv/dt
+from the speed for sign and weight, averaging of several stops, and removal of the wandering offset.
+An interval that contains a bad sample is dropped completely.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ from imucald.mount.slewing import SlewedCorrection
 NAN = math.nan
 
 MAX_HOLE_TICKS = 5
-"""Ticks for which the last specific force replaces a missing one: a 10 Hz sensor jitters."""
+"""Number of ticks for which the last specific force replaces a missing force: the samples of a 10
+Hz sensor have jitter."""
 UNKNOWN_SIGN_STD = math.pi / 2.0
-"""Standard deviation of a yaw that may be off by 180 deg [rad]."""
+"""Standard deviation of a yaw that may be wrong by 180 deg [rad]."""
 
 
 class PublishedEstimator:
-    """The published solver as an estimator of the mount; see `mount.estimate.MountEstimator`."""
+    """The published solver as a mount estimator, with the interface
+    `mount.estimate.MountEstimator`."""
 
     def __init__(self, settings: PublishedSettings | None = None) -> None:
         s = settings or PublishedSettings()
@@ -79,7 +81,7 @@ class PublishedEstimator:
 
     @property
     def correction(self) -> Correction | None:
-        """Correction to apply now; None until usable."""
+        """Correction to apply now, or None until the mount is usable."""
         return self._applied.correction
 
     @property
@@ -88,8 +90,8 @@ class PublishedEstimator:
         return self._state
 
     def gap(self) -> None:
-        """Note a jump of time: open windows, intervals and manoeuvres are dropped, knowledge
-        stays.
+        """Note a jump of time: open windows, intervals and manoeuvres are dropped, and the
+        knowledge is kept.
         """
         self._restart_stream()
 
@@ -128,7 +130,7 @@ class PublishedEstimator:
         self._applied.move_on()
 
     def estimate(self) -> MountEstimate:
-        """Return the present state of knowledge."""
+        """Return the present estimate."""
         known, s = self._known, self._settings
         reasons = waiting_for(known, s)
         covariance = None
@@ -174,7 +176,7 @@ class PublishedEstimator:
             self._speed = NAN
 
     def _take_force(self, tick: TickRow) -> bool:
-        """Keep the tick's specific force; return whether it can be learnt from."""
+        """Store the tick's specific force. Returns True if the tick can be used for learning."""
         if tick[ACCEL.bad] > 0.0:
             return False
         if tick[ACCEL.n] == 0.0:
@@ -242,7 +244,7 @@ class PublishedEstimator:
     # The solution.
 
     def _solve(self) -> None:
-        """Combine all manoeuvres under the present tilt into the target angle; set the state."""
+        """Compute the target angle from all manoeuvres with the present tilt, and set the state."""
         tilt, level = self._tilt.tilt, self._tilt.level
         angle, sign_known = None, False
         if tilt is not None:
@@ -262,7 +264,8 @@ class PublishedEstimator:
             self._applied.aim(Correction.turning(self._target))
 
     def _target_angle(self, level: Matrix3) -> tuple[CombinedAngle | None, bool]:
-        """Return lambda and whether its sign is known; manoeuvres with speed are preferred."""
+        """Return the target angle lambda and whether its sign is known. Manoeuvres with speed are
+        preferred."""
         book, unsigned = self._collector.signed, self._collector.unsigned
         signed = combined(book.pointers(level), robust=self._settings.robust)
         if not unsigned or len(book) >= self._settings.usable_manoeuvres:

@@ -1,5 +1,5 @@
-"""Decide which intervals of motion the published solver may learn from (method A, step 4, and
-beyond).
+"""Decide which intervals of motion the published solver may learn from (step 4 of method A, with
+additions).
 """
 
 from __future__ import annotations
@@ -17,33 +17,37 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.method_a.settings import PublishedSettings
 
 OFFSET_SETTLED_S = 2.0
-"""Straight motion [s] after which the offset is good; less where the offset forgets sooner."""
+"""Duration of straight motion [s] after which the offset is good. The duration is shorter if the
+time constant of the offset is short."""
 OFFSET_INTERVALS = 4.0
-"""Smallest time constant of the offset, in intervals: a 1 Hz speed makes intervals of 1 s."""
+"""Smallest time constant of the offset, in intervals: a speed of 1 Hz makes intervals of 1 s."""
 OFFSET_LOST_SPEED_S = 2.0
-"""Smallest time constant [s] where speed is lost for a while: the mean would otherwise absorb part
-of the manoeuvre.
+"""Smallest time constant of the offset [s] where the speed is lost for a while. With a shorter
+constant, the mean would absorb part of the manoeuvre.
 """
 OFFSET_WITHOUT_SPEED_S = 30.0
-"""Smallest time constant [s] without any speed: the mean would otherwise absorb all manoeuvres,
-because nothing shows their own mean. Slopes last as long (`LongRunLevel.CORRELATION_S`).
+"""Smallest time constant of the offset [s] without any speed. With a shorter constant, the mean
+would absorb all manoeuvres, because the mean of dv/dt is unknown. Slopes last as long
+(`LongRunLevel.CORRELATION_S`).
 """
 OFFSET_FADE_S = 15.0
-"""Time constant with which the offset's weight fades while motion is not straight [s]."""
+"""Time constant with which the offset's weight decreases while the motion is not straight [s]."""
 UNEXPLAINED_NOISE = 0.4
-"""Horizontal force that remains unexplained on a straight road, because of the road and a slow
-speed signal [m/s^2].
+"""Horizontal force [m/s^2] that remains unexplained on a straight road. The causes are the road and
+a slow speed signal.
 """
 TURN_FACTOR = 1.5
-"""Motion is called a turn if it exceeds a limit by this factor, so that noise is not."""
+"""Factor on a limit above which motion counts as a turn. Noise alone does not exceed the limit by
+this factor."""
 
 
 class WanderingOffset:
-    """Fading mean of force and of (dv/dt, v r) over straight motion.
+    """Exponentially fading mean of the force and of (dv/dt, v r) over straight motion.
 
-    Slope, bank and bias wander slowly. Subtracting the same mean from force and motion removes them
-    and keeps the relation between force and motion. tau: time constant [s]; 0: nothing is
-    subtracted. without_speed: smallest time constant while dv/dt is not known [s].
+    Slope, bank and bias wander slowly. The mean force is subtracted from the force, and the mean
+    motion is subtracted from the motion. The subtraction removes slope, bank and bias, and keeps
+    the relation between force and motion. tau: time constant [s]; 0: nothing is subtracted.
+    without_speed: smallest time constant while dv/dt is not known [s].
     """
 
     def __init__(self, tau: float, without_speed: float = OFFSET_LOST_SPEED_S) -> None:
@@ -58,11 +62,11 @@ class WanderingOffset:
 
     @property
     def ready(self) -> bool:
-        """True if the mean comes from enough straight motion."""
+        """True if the mean contains enough straight motion."""
         return self._weight >= min(OFFSET_SETTLED_S, 0.6 * self._tau)
 
     def mean(self) -> list[float]:
-        """Return the mean fx, fy, fz, dv/dt, v r [m/s^2]."""
+        """Return the means of fx, fy, fz, dv/dt and v r [m/s^2]."""
         if self._weight <= 0.0:
             return [0.0] * 5
         return [s / self._weight for s in self._sums]
@@ -80,7 +84,7 @@ class WanderingOffset:
             self._weight = self._weight * keep + dt
 
     def fade(self, dt: float) -> None:
-        """Take an interval that is not straight: the knowledge of the offset ages."""
+        """Take an interval that is not straight: the weight of the offset decreases."""
         keep = math.exp(-dt / OFFSET_FADE_S)
         self._sums = [s * keep for s in self._sums]
         self._weight *= keep
@@ -89,9 +93,10 @@ class WanderingOffset:
 class StraightGate:
     """Decides whether an interval is straight motion.
 
-    The preferred recogniser, or group of recognisers, with available signals decides. The gate on
-    lateral acceleration must agree. The gate uses v r where both are known, else the vehicle's own
-    lateral acceleration, else the horizontal force that dv/dt does not explain.
+    The decision is made by the first recogniser, or group of recognisers, whose signals are
+    available. The limit on the lateral acceleration must also hold. The lateral acceleration is v r
+    if both factors are known, otherwise the vehicle's own lateral acceleration, otherwise the
+    horizontal force that dv/dt does not explain.
     """
 
     def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
@@ -112,10 +117,10 @@ class StraightGate:
     def is_straight(
         self, interval: SpeedInterval, steering: float, own_lateral: float, level: Matrix3
     ) -> bool:
-        """Judge an interval.
+        """Return True if the interval is straight.
 
-        steering: wheel angle [rad] or NaN; own_lateral: the vehicle's lateral acceleration [m/s^2]
-        or NaN; level: rotation sensor -> level (3, 3).
+        steering: steering wheel angle [rad] or NaN. own_lateral: the vehicle's lateral acceleration
+        [m/s^2] or NaN. level: rotation sensor -> level (3, 3).
         """
         lateral = interval.speed * interval.yaw_rate
         if not self._lateral_is_small(interval, lateral, own_lateral, level):
@@ -134,7 +139,7 @@ class StraightGate:
         return False
 
     def is_turning(self, interval: SpeedInterval) -> bool:
-        """True if an interval is well beyond the limits of yaw rate and lateral acceleration."""
+        """True if an interval clearly exceeds the limit of yaw rate or lateral acceleration."""
         s = self._limits
         lateral = abs(interval.speed * interval.yaw_rate)
         if lateral > TURN_FACTOR * s.lateral_limit > 0.0:
@@ -144,7 +149,7 @@ class StraightGate:
     def _yaw_rate_limit(self, lateral: float) -> float:
         """Return the limit on the yaw rate.
 
-        The wider limit is for motion whose v r is known and gated as well.
+        The wider limit applies to motion whose v r is known and has a limit too.
         """
         s = self._limits
         gated = s.lateral_limit > 0.0 and not isnan(lateral)
@@ -164,8 +169,7 @@ class StraightGate:
 
     def _unexplained(self, interval: SpeedInterval, level: Matrix3) -> float:
         """Return the horizontal force that dv/dt does not explain [m/s^2]; 0 if dv/dt is not
-        known.
-        """
+        known."""
         if isnan(interval.dvdt) or not self._offset.ready:
             return 0.0
         mx, my, mz, m_dvdt, _ = self._offset.mean()
@@ -176,11 +180,11 @@ class StraightGate:
         return math.sqrt(max(x * x + y * y - along * along, 0.0))
 
     def _window_agrees(self, level: Matrix3) -> bool:
-        """Recogniser 3: return whether the smoothed angles of the last window agree, with the
-        offset removed.
+        """Recogniser 3: return True if the smoothed angles of the last window agree. The offset is
+        removed first.
 
-        Constant motion has no angle. It counts as straight, so that the offset can be estimated; it
-        is too weak to give a target angle.
+        Motion at constant speed has no angle. It counts as straight, so that the offset can be
+        estimated. Such motion is too weak to give a target angle.
         """
         n = self._smoothing
         if len(self._recent) <= n:

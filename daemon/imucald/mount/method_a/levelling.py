@@ -1,7 +1,8 @@
 """Levelling: gravity at rest gives the tilt (method A, steps 2 and 3).
 
-One stop gives mount tilt + slope of the road + accelerometer bias. Beyond the publication, several
-stops are combined. Slopes differ from place to place and average out; the bias does not.
+One stop gives the sum of mount tilt, road slope and accelerometer bias. As an addition to the
+publication, several stops are averaged. Slopes differ from place to place and average out. The bias
+does not average out.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from imucald.core.rotations import Matrix3, Vector
 from imucald.core.samples import GRAVITY
 
 PLACES_KEPT = 40
-"""Most places of rest that are kept.
+"""Largest number of stored places of rest.
 
-The oldest is dropped first, so that a slow creep of the mount is followed.
+The oldest place is dropped first, so that the tilt follows a slow creep of the mount.
 """
 SLOPE_PRIOR_PLACES = 4.0
 """Weight of the preset slope spread relative to the observed spread, in places."""
 OUTLIER_SPREADS = 2.5
-"""A place further than this many spreads from the mean (a ramp, a kerb) gets less weight."""
+"""Distance from the mean, in spreads, above which a place (a ramp, a kerb) gets less weight."""
 
 
 def rotation_about_up(angle: float) -> Matrix3:
@@ -47,10 +48,11 @@ class Tilt(NamedTuple):
 
 
 class StopBook:
-    """Combines the static windows of several stops into one tilt.
+    """Averages the static windows of several stops into one tilt.
 
-    slope_std: preset spread of road slope per axis [rad]; bias_std: of the accelerometer [m/s^2].
-    average: combine all stops; otherwise only the last stop counts, as published.
+    slope_std: preset spread of the road slope per axis [rad]. bias_std: deviation of the
+    accelerometer bias [m/s^2]. average: use all stops; otherwise only the last stop counts, as
+    published.
     """
 
     def __init__(self, slope_std: float, bias_std: float, average: bool = True) -> None:
@@ -63,7 +65,8 @@ class StopBook:
     def add_static_window(self, force: Vector, count: float, new_place: bool) -> None:
         """Take a static window: mean force (3,) [m/s^2] of `count` samples.
 
-        new_place: the vehicle has moved since the last window; otherwise both are one stop.
+        new_place: the vehicle has moved since the last window; otherwise both windows belong to one
+        stop.
         """
         if new_place or not self._sums:
             self._sums.append([0.0, 0.0, 0.0, 0.0])
@@ -74,7 +77,7 @@ class StopBook:
         cell[3] += count
 
     def tilt(self) -> Tilt | None:
-        """Return the tilt from all stops so far, or None before the first."""
+        """Return the tilt from all stops so far, or None before the first stop."""
         if not self._sums:
             return None
         sums = np.array(self._sums)[:, :3]
@@ -99,14 +102,14 @@ class StopBook:
 class LongRunLevel:
     """Fall-back without a stop: the mean specific force of a long drive is gravity.
 
-    Over time T, speed changes add at most dv / T and slopes average out. The class computes the
-    remaining uncertainty.
+    Over a time T, speed changes add at most dv / T to the mean force, and slopes average out. The
+    class also computes the remaining uncertainty.
     """
 
     SPEED_CHANGE = 30.0
-    """Change of velocity [m/s] that the mean may contain, in any direction."""
+    """Change of velocity [m/s] whose acceleration the mean may contain, in any direction."""
     CORRELATION_S = 30.0
-    """Time over which a road's slope stays the same [s]."""
+    """Time over which the road slope stays the same [s]."""
 
     def __init__(self, slope_std: float, bias_std: float) -> None:
         self._slope_std = slope_std

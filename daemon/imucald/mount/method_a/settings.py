@@ -1,4 +1,4 @@
-"""Settings of method A from the configuration, and its constants, each with its reason."""
+"""Settings of method A from the configuration, and its constants with their reasons."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PublishedSettings(MountSettings, frozen=True):
 
     @property
     def is_level(self) -> bool:
-        """True if the accelerometer counts as level, so that nothing is levelled."""
+        """True if the accelerometer counts as level, so that no levelling is done."""
         return self.planar or not self.calibration.method_a.level
 
     def to_the_letter(self) -> PublishedSettings:
@@ -53,39 +53,41 @@ class PublishedSettings(MountSettings, frozen=True):
 
     # Steps 1-3: standstill and levelling.
     place_distance: float = 25.0
-    """Distance [m] after which the next stop is another place with another slope."""
+    """Distance [m] after which the next stop counts as another place with another slope."""
     place_seconds: float = 10.0
-    """Seconds of motion after which the next stop is another place, where there is no speed."""
+    """Time of motion [s] after which the next stop counts as another place, if there is no
+    speed."""
     slope_std: float = math.radians(1.3)
     """Spread of road slope between stops, per axis [rad]; measured: 0.7-3 deg."""
     planar: bool = False
-    """The accelerometer has two axes only and counts as level; z is taken as gravity."""
+    """True if the accelerometer has two axes only. Such an accelerometer is assumed to be level,
+    and gravity is used as its z value."""
     level_std: float = math.radians(1.5)
     """Deviation from level of an accelerometer that counts as level [rad]."""
     level_without_stop_after: float = 120.0
-    """Seconds of driving without a stop after which the mean specific force is used to level
-    [s].
-    """
+    """Driving time without a stop [s] after which the mean specific force is used to level."""
 
     # Step 4: straight variable-speed motion.
     settle: float = 1.5
-    """Straight motion [s] after a turn before anything is learnt: the body roll must die out."""
+    """Duration of straight motion [s] after a turn before learning begins: the body roll must
+    decay."""
     min_manoeuvre: float = 1.0
-    """A shorter manoeuvre is a bump [s]."""
+    """Shortest duration of a manoeuvre [s]; anything shorter is a bump."""
 
     # Step 5: the target angle and its sign.
     wander_speed: float = 2.4
-    """Speed [m/s] at which a block has half weight: at higher speeds, slope and bank change more
-    during a change of speed (beyond the publication). 0: all blocks have the same weight.
+    """Speed [m/s] at which a block has half weight. At higher speeds, slope and bank change more
+    during a change of speed. With 0, all blocks have the same weight. This weight is an addition to
+    the publication.
     """
     robust: bool = True
-    """A manoeuvre that disagrees with the others gets less weight (Huber)."""
+    """True if a manoeuvre that disagrees with the other manoeuvres gets less weight (Huber)."""
     use_speed: bool = True
-    """True if dv/dt from a speed is used for gate, sign and weight (beyond the publication for gate
-    and weight).
+    """True if dv/dt from a speed is used for gate, sign and weight. The use for gate and weight is
+    an addition to the publication.
     """
     speed_timeout: float = 2.5
-    """Time without a speed sample after which speed is unknown [s]."""
+    """Time without a speed sample after which the speed is unknown [s]."""
     block_s: float = 0.2
     """Shortest interval over which dv/dt and acceleration are compared [s]."""
 
@@ -94,4 +96,4 @@ class PublishedSettings(MountSettings, frozen=True):
     fine_manoeuvres: int = 8
     hysteresis: float = 1.4
     slew: float = math.radians(0.5)
-    """Rate [rad/s] at which the applied rotation follows the estimate."""
+    """Rate [rad/s] at which the applied rotation moves to the estimate."""

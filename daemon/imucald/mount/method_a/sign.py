@@ -1,6 +1,7 @@
-"""Sign of the target angle without speed: brake switch, turns, first motion after standstill.
+"""Sign of the target angle without speed, from the brake switch, turns, and the first motion after
+standstill.
 
-Each piece of evidence is a vote: a horizontal vector in sensor axes that points roughly forward.
+Each of these events gives a vote: a horizontal vector in sensor axes that points roughly forward.
 """
 
 from __future__ import annotations
@@ -16,23 +17,23 @@ VOTES_KEPT = 60
 VOTES_NEEDED = 3
 """Lead in votes that one direction needs: a single start may have been in reverse."""
 AGREEMENT = 0.7
-"""Part of all votes that must agree."""
+"""Share of all votes that must agree."""
 ALIGNED = 0.7
-"""Cosine limit: a vote must lie within 45 deg of the axis; other votes are ignored."""
+"""Smallest cosine of the angle between a vote and the axis (45 deg). Other votes are ignored."""
 GATHER_S = 2.0
 """Time over which the force of a first motion or a braking is averaged [s]."""
 FIRST_MOTION_WITHIN_S = 4.0
-"""A first motion must begin within this time of the end of standstill [s]."""
+"""Time after the end of standstill within which a first motion must begin [s]."""
 FIRST_MOTION_FORCE = 0.7
-"""Mean horizontal force of a first motion that counts [m/s^2]."""
+"""Smallest mean horizontal force of a first motion that counts [m/s^2]."""
 BRAKE_FORCE = 0.6
-"""Mean horizontal force of a braking that counts [m/s^2]."""
+"""Smallest mean horizontal force of a braking that counts [m/s^2]."""
 TURN_RATE = math.radians(6.0)
-"""Yaw rate of a turn that distinguishes left from right [rad/s]."""
+"""Smallest yaw rate of a turn that distinguishes left from right [rad/s]."""
 TURN_FORCE = 0.8
-"""Mean horizontal force of such a turn [m/s^2]."""
+"""Smallest mean horizontal force of a turn that distinguishes left from right [m/s^2]."""
 TURN_S = 1.5
-"""Shortest such turn [s]."""
+"""Shortest duration of a turn that distinguishes left from right [s]."""
 
 
 class SignVotes:
@@ -43,7 +44,8 @@ class SignVotes:
         self.counts: dict[str, int] = {}
 
     def add_vote(self, source: str, forward: Sequence[float]) -> None:
-        """Take a vote: a vector (3,) in sensor axes that should point forward."""
+        """Take a vote: a vector (3,) in sensor axes that should point forward. source: kind of
+        event."""
         x, y, z = forward
         norm = math.sqrt(x * x + y * y + z * z)
         if norm > 0.0:
@@ -51,12 +53,13 @@ class SignVotes:
             self.counts[source] = self.counts.get(source, 0) + 1
 
     def count(self, axis: Vector) -> tuple[int, int]:
-        """Return how many votes lie along the axis (3,), and how many against it."""
+        """Return the number of votes along the axis (3,) and the number of votes against it."""
         along = [x * axis[0] + y * axis[1] + z * axis[2] for x, y, z in self._votes]
         return sum(1 for c in along if c > ALIGNED), sum(1 for c in along if c < -ALIGNED)
 
     def sign(self, axis: Vector) -> float:
-        """Return +1 when the axis (3,) points forward, -1 when it points back, 0 when unsure."""
+        """Return +1 if the axis (3,) points forward, -1 if it points backward, 0 if the direction
+        is uncertain."""
         ahead, back = self.count(axis)
         if abs(ahead - back) < VOTES_NEEDED or max(ahead, back) < AGREEMENT * (ahead + back):
             return 0.0
@@ -98,7 +101,7 @@ class SignEvidence:
         self.restart()
 
     def restart(self) -> None:
-        """Drop unfinished sums; votes stay."""
+        """Drop unfinished sums. The votes are kept."""
         self._departed = -math.inf
         for gathered in (self._first, self._brake, self._turn):
             gathered.clear()
@@ -111,7 +114,8 @@ class SignEvidence:
     def take_turn(
         self, interval: SpeedInterval, f: Vector, up: Vector | None, reverse: bool
     ) -> None:
-        """Take any interval: in a turn the force points to the side that the gyro turns to."""
+        """Take any interval. In a turn, the force points to the side to which the gyroscope
+        turns."""
         turn = self._turn
         if abs(interval.yaw_rate) > TURN_RATE:
             turn.add_force(f, interval.t1 - interval.t0, math.copysign(1.0, interval.yaw_rate))

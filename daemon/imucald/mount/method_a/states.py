@@ -13,8 +13,8 @@ from imucald.mount.method_a.target_angle import CombinedAngle
 
 @dataclass(frozen=True)
 class TiltAndAngle:
-    """Present estimate: tilt, target angle, whether its sign is known, and the numbers of stops and
-    manoeuvres.
+    """Present estimate: tilt, target angle, sign of the target angle known or not, number of stops,
+    number of manoeuvres.
     """
 
     tilt: Tilt | None = None
@@ -27,9 +27,9 @@ class TiltAndAngle:
 def judged(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> MountState:
     """Return the state.
 
-    A state that was reached is left only beyond its limit times the hysteresis.
+    A state is left only if its limit times the hysteresis is exceeded.
 
-    When a usable calibration stops being usable, it becomes suspect but is still applied.
+    A calibration that is no longer usable becomes suspect and is still applied.
     """
     state = _good(known, before, s)
     if state is not None:
@@ -54,7 +54,8 @@ def _good(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Moun
 
 
 def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:
-    """Return one reason per angle, in words and as a code; no entry where nothing is missing."""
+    """Return one reason per angle, in words and as a code. An angle without missing evidence has no
+    entry."""
     reasons: dict[str, tuple[str, Missing]] = {}
     if known.tilt is None:
         reason = (

@@ -1,7 +1,7 @@
 """Standstill: the static test of method A (step 1), on ticks.
 
 As published, a preset number of accelerometer samples is static if max - min is at most the
-threshold on each axis. Online, two conditions are added. A known speed must be zero. While it is
+threshold on each axis. Online, two rules are added. A known speed must be zero. While the speed is
 zero, wider thresholds apply, because a running engine shakes a sensor more than a smooth road does.
 """
 
@@ -14,15 +14,17 @@ from imucald.config.calibration import StaticTestSettings
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 CONFIRM_TICKS = 5
-"""A window counts only after this many further quiet ticks: a late speed signal (up to 0.4 s) still
-reads zero when the vehicle has begun to move.
+"""Number of further quiet ticks that a window needs before it counts. A late speed signal (up to
+0.4 s) is still zero when the vehicle has begun to move.
 """
 MAX_HOLE_TICKS = 10
-"""Ticks without a sample that do not end a run; a slow or jittering sensor leaves single holes."""
+"""Number of ticks without a sample that do not end a run. A sensor that is slow or has jitter
+leaves single holes."""
 
 
 class StaticWindow(NamedTuple):
-    """A window that passed the static test: mean specific force [m/s^2], samples, end [s]."""
+    """A window that passed the static test: mean specific force [m/s^2], number of samples, end
+    [s]."""
 
     x: float
     y: float
@@ -32,10 +34,9 @@ class StaticWindow(NamedTuple):
 
 
 class StandstillDetector:
-    """Runs the static test on ticks; windows follow one another without overlap.
+    """Runs the static test on ticks. The windows follow one another without overlap.
 
-    still: whether the vehicle stands now, which means that a window has passed and the run
-    continues.
+    still: True if the vehicle stands now. A window has then passed and the run continues.
     """
 
     def __init__(self, settings: StaticTestSettings) -> None:
@@ -47,7 +48,7 @@ class StandstillDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new run: earlier ticks are not continued."""
+        """Begin a new run, without the earlier ticks."""
         self.still = False
         self._passed.clear()
         self._run = 0
@@ -60,9 +61,9 @@ class StandstillDetector:
         self._high = [-1e9, -1e9, -1e9]
 
     def take_tick(self, tick: TickRow, stopped: bool | None) -> StaticWindow | None:
-        """Take a tick; return a window that has just been confirmed static.
+        """Take a tick. Returns a window that has just been confirmed static, or None.
 
-        stopped: whether speed says that the vehicle stands; None if speed is not known.
+        stopped: True if the speed shows that the vehicle stands; None if the speed is not known.
         """
         if stopped is False or tick[ACCEL.bad] > 0.0:
             self.restart()

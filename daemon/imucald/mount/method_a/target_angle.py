@@ -1,10 +1,12 @@
-"""Manoeuvres: evidence of one braking or one acceleration about the target angle, and their sum.
+"""Manoeuvres: the evidence of one braking or one acceleration about the target angle, and the
+combination of all manoeuvres.
 
 A published sample angle with v*r subtracted is lambda_i = atan2(v r, dv/dt) - atan2(R'y, R'x). The
 circular mean of such angles, weighted by |R'| |(dv/dt, v r)|, is the argument of the sum of
-conj(R') (dv/dt + i v r). A manoeuvre stores that sum in sensor axes, before levelling, so that a
-better tilt later also improves every earlier manoeuvre. The uncertainty comes from the differences
-between manoeuvres: all samples of one manoeuvre share its slope, its bank and its driver.
+conj(R') (dv/dt + i v r). A manoeuvre stores that sum in sensor axes, before levelling. If the tilt
+becomes better later, the angle of every earlier manoeuvre becomes better too. The uncertainty is
+computed from the differences between manoeuvres, because all samples of one manoeuvre have the same
+slope, the same bank and the same driver.
 """
 
 from __future__ import annotations
@@ -23,39 +25,39 @@ from imucald.motion.speed import SpeedInterval
 Pointers = NDArray[np.complex128]
 
 PRIOR_SPREAD = math.radians(4.0)
-"""Expected spread of single manoeuvres about the truth before there are any [rad]."""
+"""Expected spread of single manoeuvres about the true angle [rad]."""
 PRIOR_MANOEUVRES = 2.0
-"""Weight of that expectation, in manoeuvres."""
+"""Weight of `PRIOR_SPREAD`, in manoeuvres."""
 MIN_SPREAD = math.radians(0.8)
-"""Smallest robust limit [rad]."""
+"""Smallest spread for the robust limit [rad]."""
 ROBUST_SPREADS = 1.5
-"""A manoeuvre further than this many spreads from the rest gets less weight (Huber)."""
+"""Distance from the mean, in spreads, above which a manoeuvre gets less weight (Huber)."""
 ROBUST_ROUNDS = 4
 COUNTED_LIMITS = 2.0
-"""Deviations count up to this many robust limits.
+"""Largest deviation of a manoeuvre that is used for the uncertainty, in robust limits.
 
-A manoeuvre that disagrees then widens the interval, but not without limit.
+A manoeuvre that disagrees then widens the interval to a limited extent.
 """
 MIN_AGREEMENT = 0.6
-"""Resultant below which manoeuvres contradict each other, for example because turns are among them.
-
-Their spread about the mean then shows nothing.
+"""Smallest resultant of manoeuvres that agree. Below this value, the manoeuvres contradict each
+other, for example because some of them are turns. The spread of such manoeuvres about the mean is
+meaningless.
 """
 TWO_MINDS_STD = math.radians(45.0)
 FLOOR_STD = math.radians(0.15)
-"""Errors that manoeuvres share, so that their number does not average them out: cross-axis error,
-delay [rad].
+"""Standard deviation of errors that all manoeuvres have in common [rad]: cross-axis error and
+delay. A larger number of manoeuvres does not reduce these errors.
 """
 MEDIAN_TO_STD = 1.4826
-"""Normal distribution: standard deviation over median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation for a normal distribution."""
 
 
 class Manoeuvre:
     """Sums over the intervals of one straight braking or acceleration, in sensor axes.
 
     sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt and the
-    interval's weight. signed: speed shows which way is forward; peak: largest change of speed in it
-    [m/s^2].
+    interval's weight. signed: True if the speed shows which way is forward. peak: largest dv/dt of
+    the manoeuvre [m/s^2].
     """
 
     def __init__(self, start: float, signed: bool) -> None:
@@ -73,7 +75,7 @@ class Manoeuvre:
         lateral: float,
         weight: float,
     ) -> None:
-        """Take an interval: force (3,), dv/dt and v r, each less its offset [m/s^2]."""
+        """Take an interval: force (3,), dv/dt and v r, each minus its offset [m/s^2]."""
         dt = interval.t1 - interval.t0
         x, y, z = f
         motion = (
@@ -88,7 +90,7 @@ class Manoeuvre:
 
 
 class ManoeuvreBook:
-    """The last manoeuvres, at most `kept`; the oldest is dropped first."""
+    """The last manoeuvres, at most `kept`. The oldest manoeuvre is dropped first."""
 
     def __init__(self, kept: int) -> None:
         self._sums: deque[list[float]] = deque(maxlen=kept)
@@ -101,8 +103,8 @@ class ManoeuvreBook:
         self._sums.append(manoeuvre.sums)
 
     def pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
-        """Return the sum of conj(R') (dv/dt + i v r) of each manoeuvre: its argument is the
-        manoeuvre's lambda.
+        """Return the sum of conj(R') (dv/dt + i v r) of each manoeuvre. The argument of this sum is
+        the manoeuvre's lambda.
         """
         sums = np.array(self._sums).reshape(-1, 12)
         along = sums[:, 0:3] @ R_level_from_sensor[:2].T
@@ -114,7 +116,7 @@ class ManoeuvreBook:
     def axis_pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
         """Return the sum of conj(R')^2 of each manoeuvre.
 
-        Half its argument is lambda up to 180 deg; isotropic noise cancels.
+        Half of its argument is lambda or lambda + 180 deg. Isotropic noise cancels out.
         """
         moments = np.array(self._sums).reshape(-1, 12)[:, 6:]
         a, b = R_level_from_sensor[0], R_level_from_sensor[1]
@@ -124,16 +126,15 @@ class ManoeuvreBook:
 
 
 def _products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the coefficients of a' M b over M's xx, yy, zz, xy, xz, yz."""
+    """Return the coefficients of a' M b for the elements xx, yy, zz, xy, xz, yz of M."""
     i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     both = np.where(np.arange(6) < 3, 0.5, 1.0) * (a[i] * b[j] + a[j] * b[i])
     return np.asarray(both, dtype=np.float64)
 
 
 class CombinedAngle(NamedTuple):
-    """A combined angle [rad], its standard deviation [rad], and the number of manoeuvres
-    behind it.
-    """
+    """A combined angle [rad], its standard deviation [rad], and the number of combined
+    manoeuvres."""
 
     value: float
     std: float
@@ -141,12 +142,11 @@ class CombinedAngle(NamedTuple):
 
 
 def combined(pointers: Pointers, turns: float = 1.0, robust: bool = True) -> CombinedAngle | None:
-    """Combine pointers (N,) robustly into one angle; None if there is nothing to combine.
+    """Combine pointers (N,) into one angle; None if there are no pointers.
 
-    turns: how many times a pointer goes round while the angle goes round once (2 for an axis).
-
-    The standard deviation is the spread over manoeuvres (with a prior worth two) over their
-    effective number. If robust, Huber weights prevent that a manoeuvre that disagrees decides.
+    turns: number of turns of a pointer while the angle makes one turn (2 for an axis). The variance
+    is the variance between manoeuvres, with a prior, divided by the effective number of manoeuvres.
+    robust: use Huber weights, so that a manoeuvre that disagrees cannot decide the result.
     """
     sizes = np.abs(pointers)
     if len(sizes) == 0 or not float(sizes.max()) > 0.0:
@@ -176,5 +176,5 @@ def combined(pointers: Pointers, turns: float = 1.0, robust: bool = True) -> Com
 
 
 def combined_axis(pointers: Pointers, robust: bool = True) -> CombinedAngle | None:
-    """Combine axis pointers (see `ManoeuvreBook`): the result is known up to 180 deg."""
+    """Combine axis pointers (see `ManoeuvreBook`). The resulting angle may be wrong by 180 deg."""
     return combined(pointers, 2.0, robust)

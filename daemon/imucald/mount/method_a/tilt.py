@@ -1,4 +1,4 @@
-"""The tilt with which the published solver levels: from the stops, or from the mean of the
+"""The tilt with which the published solver levels: from the stops, or from the mean force of the
 drive.
 """
 
@@ -18,15 +18,15 @@ from imucald.mount.method_a.static_test import StandstillDetector
 UP_MEMORY_S = 20.0
 """Time constant of the vertical before the first levelling [s]."""
 UP_SETTLED_TICKS = 50.0
-"""Ticks after which that vertical is good enough to project gyroscope rates on it."""
+"""Number of ticks after which the vertical is good enough to project gyroscope rates on it."""
 
 
 class TiltEstimator:
     """Detects standstill and keeps the tilt.
 
-    still: the vehicle stands now. departed: it began to move in this tick. tilt: the known tilt, or
-    None. level: best rotation sensor -> level (3, 3). up: unit vector up in sensor axes, or None.
-    stops: number of stops seen.
+    still: True if the vehicle stands now. departed: True if the vehicle began to move in this tick.
+    tilt: known tilt, or None. level: best rotation sensor -> level (3, 3). up: unit vector up in
+    sensor axes, or None. stops: number of stops seen.
     """
 
     def __init__(self, settings: PublishedSettings) -> None:
@@ -51,14 +51,14 @@ class TiltEstimator:
         return self._stops.seen
 
     def restart(self) -> None:
-        """Note a jump of time: an open window is dropped, the tilt stays."""
+        """Note a jump of time: an open window is dropped, and the tilt is kept."""
         self._standstill.restart()
         self.still = self.departed = False
 
     def take_tick(self, tick: TickRow, force: Vector, clean: bool, speed: float) -> bool:
-        """Take a tick; return whether the tilt has changed.
+        """Take a tick. Returns True if the tilt has changed.
 
-        force (3,) [m/s^2]; clean: whether it may be learnt from; speed [m/s] or NaN.
+        force: (3,) [m/s^2]. clean: True if the force may be used for learning. speed: [m/s] or NaN.
         """
         s = self._settings
         stopped = None if isnan(speed) else abs(speed) <= s.calibration.static.standstill_speed
@@ -83,7 +83,7 @@ class TiltEstimator:
         return changed
 
     def _without_stop(self, force: Vector, still: bool) -> bool:
-        """Keep the vertical from a slow mean, and level with the mean of a long drive."""
+        """Update the vertical from a slow mean, and level with the mean force of a long drive."""
         keep = 1.0 - TICK_S / UP_MEMORY_S
         x, y, z = self._sum
         x, y, z = x * keep + force[0], y * keep + force[1], z * keep + force[2]
