@@ -1,7 +1,7 @@
-"""imucald: finds out how an IMU sits in a vehicle and re-emits its signals in vehicle axes.
+"""imucald determines the mount of an IMU in a vehicle and sends its signals in vehicle axes.
 
-`docs/python.md` shows how it is used from Python; `__all__` lists what can be relied on. Nothing is
-loaded before it is asked for: the daemon does without all of it.
+`docs/python.md` explains the use from Python. `__all__` lists the public names. Each public name is
+loaded at its first use, because the daemon needs none of them.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _PLACES = {
     "stream": ("api.streaming", "stream"),
     "walk": ("api.walking", "walk"),
 }
-"""Where each name comes from: module, and its name there."""
+"""For each public name: its module, and its name in this module."""
 
 __all__ = [
     "CheckReport",
@@ -79,7 +79,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load what is asked for (PEP 562)."""
+    """Load a public name at its first use (PEP 562)."""
     place = _PLACES.get(name)
     if place is None:
         raise AttributeError(f"module 'imucald' has no attribute {name!r}")

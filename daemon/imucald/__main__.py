@@ -1,10 +1,11 @@
-"""The `imucald` command, and ``python -m imucald``: Ctrl-C ends it in one line from the first."""
+"""The command `imucald`, and ``python -m imucald``. From the first moment on, Ctrl-C ends the
+program with a single line of text."""
 
 import sys
 
 
 def main() -> int:
-    """Entry point; returns the exit status."""
+    """Entry point. Return the exit status."""
     try:
         from imucald import cli  # noqa: PLC0415 - its imports take some time
     except KeyboardInterrupt:

@@ -1,7 +1,7 @@
-"""The command line: `imucald COMMAND`. Thin: every command lives in a module of its own.
+"""The command line: `imucald COMMAND`. Each command has its own module in `commands`.
 
-Modules are imported when their command is asked for, so that `imucald run` starts without unneeded
-modules. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 78 a wrong
+A module is imported only when its command is used, so that `imucald run` starts without unneeded
+modules. Exit status: 0 success, 1 error (explained on stderr), 2 wrong usage, 78 wrong
 configuration of `run`, 130 Ctrl-C.
 """
 
@@ -29,35 +29,39 @@ PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
     "OMP_NUM_THREADS": "1",
 }
-"""Set for this process, where the user has not; read when numpy is imported."""
+"""Environment variables that are set for this process unless the user has set them. They are read
+when numpy is imported."""
 
 LARGE_LIBRARIES = ("scipy",)
-"""Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
+"""Libraries that only simulation and diagnosis need. They may be missing in an installation on a
+vehicle."""
 
 WRONG_USAGE = 2
 DIED_OF = 128
-"""Added to a signal's number: the exit status where one has ended a command."""
+"""If a signal ended a command, the exit status is this number plus the number of the signal."""
 SIGNALS = (
     (signal.SIGINT, signal.default_int_handler, interrupt),
     (signal.SIGTERM, signal.SIG_DFL, terminate),
     *([(signal.SIGHUP, signal.SIG_DFL, terminate)] if hasattr(signal, "SIGHUP") else []),
 )
-"""Default action of each signal, and its action here; Windows has no SIGHUP."""
+"""Handled signals: signal, default action, action in imucald. Windows has no SIGHUP."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""What writing gives where a disk is full or broken."""
+"""Error numbers of a write to a disk that is full or defective."""
 
 TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
 NO_ROOM = "failed to map segment"
-"""What the loader says of a library that finds no room in the address space."""
+"""Part of the loader's error text for a library that does not fit into the address space."""
 
 NO_REASON = "without exception set"
-"""What the interpreter says of a library whose memory could not be had while it was imported."""
+"""Part of the interpreter's error text if there was not enough memory while a library was
+imported."""
 
 DEFAULT_COLUMNS = 80
-"""Width of help texts where there is no terminal."""
+"""Width of help texts if there is no terminal [columns]."""
 
 GC_THRESHOLD = 50_000
-"""Containers made before the collector looks for cycles: starting makes many that all stay."""
+"""Threshold of Python's garbage collector: number of new container objects before a collection. The
+value is high because nearly all objects that are created at the start stay in use."""
 
 GROUPS = {
     "try it": {
@@ -95,12 +99,13 @@ GROUPS = {
         "schema": "print the JSON schema of the configuration",
     },
 }
-"""Commands by the work that they are for, in the order of the help."""
+"""Commands grouped by purpose, in the order of the help text."""
 COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
 
 
 class _Help(argparse.HelpFormatter):
-    """Folds paragraphs, and leaves those that begin with a blank (examples) as they are."""
+    """Help formatter that wraps paragraphs. Paragraphs that begin with a blank (examples) are not
+    changed."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         parts = text.split("\n\n")
@@ -111,10 +116,11 @@ class _Help(argparse.HelpFormatter):
 
 
 class _ByGroups(_Help):
-    """Lists commands under the headings of their groups."""
+    """Help formatter that lists commands under the headings of their groups."""
 
     def format_help(self) -> str:
-        """Leave room for the longest name, which argparse counts without its indent."""
+        """Format the help with a column that is wide enough for the longest name. argparse does not
+        count the indent of names."""
         self._action_max_length += 2
         return super().format_help()
 
@@ -125,15 +131,16 @@ class _ByGroups(_Help):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Accepts only complete option names: an abbreviation may become ambiguous in a later
-    version."""
+    """Parser that accepts only complete option names, because an abbreviation may become ambiguous
+    in a later version."""
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**{"formatter_class": _formatter, "allow_abbrev": False, **given})
 
 
 class _Version(argparse.Action):
-    """Says the version, and whether the compiled part is used; it is looked for only then."""
+    """Action that prints the version, and whether the compiled part is used. The compiled part is
+    loaded only for this output."""
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**{**given, "nargs": 0, "dest": argparse.SUPPRESS})
@@ -148,9 +155,9 @@ class _Version(argparse.Action):
 def build_parser(
     command: str | None = None, names: Iterable[str] = COMMANDS
 ) -> argparse.ArgumentParser:
-    """Return the parser of the commands of these names.
+    """Return the parser for the commands in `names`.
 
-    Only the named command's options are loaded (all without one).
+    command: only the options of this command are loaded; None means all commands.
     """
     parser = _Parser(
         prog="imucald",
@@ -173,7 +180,8 @@ def build_parser(
 
 
 def _formatter(prog: str, kind: type[_Help] = _Help) -> _Help:
-    """As argparse makes it, for every option; its way to the width loads compression (2 ms)."""
+    """Return a help formatter with the width of the terminal. argparse itself would load
+    compression modules to find this width (2 ms)."""
     try:
         columns = int(os.environ.get("COLUMNS", "")) or DEFAULT_COLUMNS
     except ValueError:
@@ -197,7 +205,7 @@ def _unknown_command(name: str) -> str:
 
 
 def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
-    """Return the options; unknown options are reported with the usage of their command."""
+    """Return the parsed options. An unknown option is reported with the usage of its command."""
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         (commands,) = parser._subparsers._group_actions  # type: ignore[union-attr]
@@ -208,7 +216,7 @@ def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.N
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of the `imucald` command; returns the exit status."""
+    """Entry point of the command `imucald`. Return the exit status."""
     streams = sys.stdout, sys.stderr
     sys.stdout = sys.stdout and SafeStream(sys.stdout)
     sys.stderr = sys.stderr and SafeStream(sys.stderr, is_for_people=True)
@@ -237,7 +245,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _limit_words(error: Exception) -> str | None:
-    """Which limit of this process is reached, and what to do; None if it is none."""
+    """Return a text that states which limit of this process was reached, with a remedy; None if the
+    error has another cause."""
     number = error.errno if isinstance(error, OSError) else None
     if number in TOO_MANY_FILES:
         return "too many open files: raise the limit of this process (ulimit -n)"
@@ -252,7 +261,7 @@ def _limit_words(error: Exception) -> str | None:
 
 
 def _done(argv: Sequence[str] | None) -> int:
-    """Run the command of the arguments; return the exit status."""
+    """Run the command that the arguments name. Return the exit status."""
     gc.set_threshold(GC_THRESHOLD)
     atexit.register(gc.freeze)  # what ends with the process need not be searched for cycles
     arguments = list(sys.argv[1:] if argv is None else argv)

@@ -18,11 +18,13 @@ from imucald.mount.mount_words import is_move
 
 CLOCK_SET_US = round(1e6 * CLOCK_SET_S)
 LIKELY = 1e-3
-"""Two mounts are reported as different if the probability of chance is below this value."""
+"""Two mounts are reported as different if their difference occurs by chance with a smaller
+probability than this."""
 
 
 def notes_between(drives: Sequence[DriveResult]) -> tuple[str, ...]:
-    """Describe overlaps and mount shifts between drives, one text each, in order of time."""
+    """Return texts about drives that overlap and about mounts that differ between drives, in order
+    of time."""
     timed = [d for d in drives if d.start_us is not None and d.start_us >= CLOCK_SET_US]
     timed.sort(key=lambda d: d.start_us or 0)
     in_order = timed if len(timed) == len(drives) else list(drives)
@@ -57,11 +59,12 @@ def _without_time(drives: Sequence[DriveResult], timed: Sequence[DriveResult]) -
 
 
 def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
-    """Report mounts that differ between consecutive good drives more than chance and load explain.
+    """Yield a text for each pair of successive good drives whose mounts differ by more than chance
+    and vehicle load explain.
 
-    If a drive itself found a move, only that move is reported. No second move is then reported
-    between this drive and the previous one. Drives that overlap in time have no order, so their
-    mounts are not compared.
+    If a move of the sensor was found within a drive, only this move is reported. No move is then
+    reported between this drive and the previous drive. Drives that overlap in time have no order,
+    so their mounts are not compared.
     """
     before: DriveResult | None = None
     is_moved = False
@@ -99,7 +102,8 @@ def _share(one: DriveResult, other: DriveResult) -> bool:
 
 
 def _chance(e: np.ndarray, covariance: np.ndarray) -> float:
-    """Probability that chance gives a difference of at least e (3,): chi-square, 3 degrees."""
+    """Return the probability that chance gives a difference of at least e (3,), from chi-square
+    with 3 degrees of freedom."""
     square = float(e @ np.linalg.solve(covariance, e))
     if not math.isfinite(square):
         return 1.0

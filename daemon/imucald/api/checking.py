@@ -51,7 +51,8 @@ def check(
     *,
     progress: Progress | None = None,
 ) -> CheckReport:
-    """Check what a configuration decodes from a log: sources, units, rates, gaps, doubts.
+    """Check the signals that a configuration decodes from a log: sources, units, rates, gaps,
+    suspicious values.
 
     config: a configuration, or the name of its file. log: a file's name, an open file, or a list
     of the pieces of one recording. Raises ConfigError if the configuration cannot be used, and
@@ -67,7 +68,7 @@ def check(
 
 
 def check_report(checker: Check, problems: Sequence[str] = ()) -> CheckReport:
-    """Return the report of a checker."""
+    """Return the report of a check. problems: the first bad lines of the log."""
     report = checker.report()
     findings = tuple(report["findings"])
     return CheckReport(report["usable"], findings, tuple(problems), report)

@@ -22,7 +22,7 @@ HISTORY, EVENTS = "history", "events"
 class TableColumn(Struct, frozen=True):
     """One column.
 
-    unit: "1" for a pure number, "" for a column without a unit (texts, times of day).
+    unit: "1" for a pure number, "" for a column to which no unit applies (texts, times of day).
     kind: "float", "int8", "bool", "text" or "time" (whole microseconds since 1970, UTC).
     """
 
@@ -80,7 +80,7 @@ def corrected_columns(kind: str) -> tuple[TableColumn, ...]:
 def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...]:
     """Columns for a channel's raw samples (see `core.samples`).
 
-    kind: the kind of sensor, for a parallel channel; None for others.
+    kind: the kind of sensor, for the channel of a parallel sensor; None for other channels.
     """
     sensor = kind or channel
     quantity = QUANTITIES[sensor]

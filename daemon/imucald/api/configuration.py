@@ -19,7 +19,7 @@ PathLike = str | os.PathLike[str]
 class Configuration:
     """A configuration file, read and checked. Create it with `load`. A `Config` can be pickled.
 
-    path: the file. databases: absolute paths of the CAN databases in use.
+    path: the file. databases: absolute paths of the CAN databases.
     warnings: one line for each key without effect, with its place in the file and the reason.
     """
 
@@ -33,9 +33,10 @@ class Configuration:
     def load(cls, path: PathLike, databases: Sequence[PathLike] | None = None) -> Configuration:
         """Read a configuration file (YAML).
 
-        databases: database files that replace the ones named in the configuration; same number,
-        same order. Raises ConfigError with one line for each mistake: file, line, key, reason,
-        remedy. The content of the databases is checked later, when the configuration is used.
+        databases: database files that replace the databases named in the configuration, in the same
+        number and order. Raises ConfigError with one line for each mistake: file, line, key,
+        reason, remedy. The content of the databases is checked later, when the configuration is
+        used.
         """
         file = Path(path)
         loaded = open_config(file, [Path(database) for database in databases or ()])
@@ -53,7 +54,7 @@ class Configuration:
 
     @classmethod
     def of(cls, config: Configuration | PathLike) -> Configuration:
-        """Return the given configuration, or load it from a file's name."""
+        """Return `config` itself, or load the configuration from a file if `config` is a path."""
         return config if isinstance(config, cls) else cls.load(cast(PathLike, config))
 
     def __repr__(self) -> str:

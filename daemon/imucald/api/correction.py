@@ -35,7 +35,8 @@ class CorrectionResult:
 
     @classmethod
     def from_summary(cls, found: Mapping[str, Any] | None) -> CorrectionResult | None:
-        """Make the result from the key `correction` of docs/json.md; None if it is absent."""
+        """Make the result from the content of the key `correction` (docs/json.md). None without a
+        content."""
         if found is None:
             return None
 

@@ -36,7 +36,7 @@ class DiagnosisResult:
     """The result of a diagnosis of drives.
 
     logs: the log files of the drives. verdict: "found", "ambiguous", "unknown" or "nothing".
-    causes: names of the certain causes, see docs/diagnosis.md. headline: the verdict in words.
+    causes: names of the certain causes, see docs/diagnosis.md. headline: the verdict as a sentence.
     notes: further remarks for the user. complete: False if the time limit ended the search.
     problems: the first bad lines.
     """
@@ -120,14 +120,14 @@ def diagnose(
     The result is the same as that of `imucald diagnose`.
 
     config: a configuration, or the name of its file. logs: one log per drive; the sensor must be
-    mounted in its place. model: the model file to test; None: a plain car with the values of the
-    configuration and the mount found in the drives. time_limit_s: limit of processor time, after
-    which the findings so far are reported; None: 40 s per hour of driving, at least 10 s.
-    progress: called with the share done and the current step. reading: called with the bytes
-    read. strict: the first bad line raises LogError.
+    mounted as in the vehicle. model: the model file to test. Without a model file, a default car is
+    tested, with the values of the configuration and the mount that is found in the drives.
+    time_limit_s: limit of processor time [s], after which the findings so far are reported; the
+    default is 40 s per hour of driving, at least 10 s. progress: called with the share done and the
+    current step. reading: called with the bytes read. strict: the first bad line raises LogError.
 
     Raises ConfigError for the configuration, the model file, or a log given twice. Raises LogError
-    for a log that cannot be read, has no usable frame, or holds the same drive as another log.
+    for a log that cannot be read, has no usable frame, or contains the same drive as another log.
     Raises ImucaldError if no diagnosis is possible.
     """
     config = Configuration.of(config)
@@ -178,8 +178,7 @@ def diagnosis_of(
 
 
 def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
-    """Raise LogError if two logs hold the same drive. Such a recording would count as evidence
-    twice."""
+    """Raise LogError if two logs contain the same drive, because its evidence would count twice."""
     drives = list(zip(logs, recordings, strict=True))
     for (one, first), (other, second) in itertools.combinations(drives, 2):
         if is_same_recording(first, second):
@@ -187,7 +186,7 @@ def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
 
 
 def _reading_notes(recording: Recording) -> list[str]:
-    """Notes on problems in reading a log."""
+    """Return notes on problems while a log was read."""
     notes = []
     bad = sum(recording.rejected.values())
     if bad > FEW_REJECTED * recording.frames_read:

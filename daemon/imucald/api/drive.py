@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from imucald.api.plots import DrivePlots
 
 WIDTH = 96
-"""Longest line of the text from `repr` [characters]."""
+"""Longest line of the text that `repr` returns [characters]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -22,7 +22,8 @@ ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DriveSet:
-    """Drives with one configuration. Each is replayed separately; the order is that of the call.
+    """The results of several drives with one configuration. Each drive was replayed separately. The
+    order of the drives is the order of the logs in the call.
 
     notes: texts about drives that overlap in time or are given twice, and about mounts that differ
     too much from one drive to the next.
@@ -72,7 +73,7 @@ class DriveSet:
 
 
 def log_names(drive: DriveResult) -> str:
-    """The names of a drive's files, as one text."""
+    """Return the names of a drive's log files as one text."""
     return ", ".join(drive.logs)
 
 

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEEWAY = 1.05
-"""Factor of reserved rows to expected rows. Reserved memory costs nothing until it is used."""
+"""Number of reserved rows divided by the number of expected rows. Reserved memory uses no RAM until
+it is written."""
 MOST_TIMES = 64
-"""Largest factor of reserved rows to rows so far. The estimate may be wrong at the beginning."""
+"""Largest number of reserved rows divided by the number of present rows, because the expected
+number of rows may be wrong at the beginning."""
 SPARE = 2
-"""A column is copied at the end if it reserved more than this many times its rows."""
+"""A column is copied at the end if its reserved rows exceed its used rows by more than this
+factor."""
 
 
 class GrowingTable:
@@ -26,7 +29,8 @@ class GrowingTable:
         self.rows = 0
 
     def add_rows(self, parts: Sequence[NDArray[Any]], share: float | None) -> None:
-        """Add rows. parts: (n,) for each column. share: part of all rows present after it."""
+        """Add rows. parts: (n,) for each column. share: estimated share of all rows that is present
+        after this call; None if not known."""
         before, self.rows = self.rows, self.rows + len(parts[0])
         if not self._columns or self.rows > self._room:
             self._grow(before, parts, share)
@@ -48,10 +52,10 @@ class GrowingTable:
 
 
 def _side_by_side(kinds: Sequence[np.dtype[Any]], rows: int) -> list[NDArray[Any]]:
-    """Make empty columns; columns of one type share one array.
+    """Make empty columns. Columns of the same type share one array.
 
-    numpy requests large memory pages for arrays from 4 MiB on. The first write to an hour of
-    samples then takes a third of the time.
+    The shared array is large, and numpy requests large memory pages for arrays from 4 MiB on. With
+    large pages, the first write to an hour of samples takes a third of the time.
     """
     of_kind = {kind: iter(np.empty((kinds.count(kind), rows), kind)) for kind in set(kinds)}
     return [next(of_kind[kind]) for kind in kinds]

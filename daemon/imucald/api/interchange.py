@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FILE_KEY, PANDAS_KEY, UNIT_KEY = "imucald", "PANDAS_ATTRS", "unit"
-"""Metadata keys. FILE_KEY: the description of the table. PANDAS_KEY: pandas shows its content as
-`DataFrame.attrs`. UNIT_KEY: the unit of a field."""
+"""Metadata keys. FILE_KEY: key of the description of the table. PANDAS_KEY: key whose content
+pandas shows as `DataFrame.attrs`. UNIT_KEY: key of the unit of a field."""
 
 
 def library(name: str, extra: str) -> ModuleType:
@@ -37,7 +37,7 @@ def library(name: str, extra: str) -> ModuleType:
 
 
 def units(columns: tuple[TableColumn, ...]) -> dict[str, str]:
-    """Return the unit of each column that has one, by the column's name."""
+    """Return the unit of each column with a unit, by the name of the column."""
     return {c.name: c.unit for c in columns if c.unit}
 
 
@@ -50,7 +50,7 @@ def file_keys(columns: tuple[TableColumn, ...], about: Mapping[str, Any]) -> dic
 
 
 def arrow_schema(columns: tuple[TableColumn, ...], about: Mapping[str, Any] | None) -> pa.Schema:
-    """The Arrow schema of a table; every column may be null."""
+    """Return the Arrow schema of a table. Every column may be null."""
     arrow = library("pyarrow", "arrow")
     types = {
         "float": arrow.float64(),
@@ -67,7 +67,7 @@ def arrow_schema(columns: tuple[TableColumn, ...], about: Mapping[str, Any] | No
 
 
 def to_arrow(table: Columns, about: Mapping[str, Any] | None = None) -> pa.Table:
-    """Convert to an Arrow table. An unknown number becomes null."""
+    """Convert a table to an Arrow table. An unknown number becomes null."""
     arrow = library("pyarrow", "arrow")
     schema = arrow_schema(table.columns, about)
     arrays = [
@@ -78,7 +78,7 @@ def to_arrow(table: Columns, about: Mapping[str, Any] | None = None) -> pa.Table
 
 
 def from_arrow(table: pa.Table, columns: tuple[TableColumn, ...]) -> Columns:
-    """Convert an Arrow table of `to_arrow` back to a table."""
+    """Convert an Arrow table that `to_arrow` made back to a table."""
     arrays: list[Any] = []
     for column in columns:
         values = table.column(column.name).combine_chunks()
@@ -94,7 +94,7 @@ def from_arrow(table: pa.Table, columns: tuple[TableColumn, ...]) -> Columns:
 
 
 def to_pandas(table: Columns, name: str) -> pd.DataFrame:
-    """Convert to a pandas frame; `attrs` has the units."""
+    """Convert a table to a pandas frame. `attrs` of the frame contains the units."""
     pandas = library("pandas", "pandas")
     arrays: dict[str, Any] = table.as_dict()
     if "time" in arrays:
@@ -105,7 +105,7 @@ def to_pandas(table: Columns, name: str) -> pd.DataFrame:
 
 
 def to_polars(table: Columns) -> pl.DataFrame:
-    """Convert to a polars frame. An unknown number becomes null."""
+    """Convert a table to a polars frame. An unknown number becomes null."""
     polars = library("polars", "polars")
     series = []
     for column, array in zip(table.columns, table.arrays, strict=True):

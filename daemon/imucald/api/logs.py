@@ -45,7 +45,8 @@ def find_logs(*where: str | os.PathLike[str]) -> list[Path]:
 
 
 def found_names(where: Sequence[str]) -> list[str]:
-    """Find logs for the command line: '-' (standard input) is kept, names are not changed."""
+    """Find logs for the command line. '-' (standard input) is accepted, and names of files are not
+    changed."""
     found: list[str] = []
     for name in where:
         if name != STDIN and Path(name).is_dir():

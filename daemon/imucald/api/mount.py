@@ -23,10 +23,10 @@ class MountResult:
     """The orientation of the sensor in the vehicle. Axes: ISO 8855, x forward, y left, z up.
 
     matrix: (3, 3), R_vehicle_from_sensor: `matrix @ v_sensor` is the vector in vehicle axes.
-    covariance_deg2: (3, 3) [deg^2], covariance of the error e. This is the rotation vector about
-    the vehicle's axes from the estimate to the truth: R_true = exp(skew(e)) @ matrix. Elements are
-    NaN if there is no estimate yet. Each of the three angles is estimated from separate data, so
-    the matrix is diagonal, except after `inverse`.
+    covariance_deg2: (3, 3) [deg^2], covariance of the error e. The error e is the rotation vector
+    about the vehicle's axes from the estimate to the truth: R_true = exp(skew(e)) @ matrix.
+    Elements are NaN if there is no estimate yet. Each of the three angles is estimated from
+    separate data, so the matrix is diagonal, except after `inverse`.
     """
 
     matrix: Array
@@ -94,12 +94,14 @@ class MountResult:
         return roll * DEG_PER_RAD, pitch * DEG_PER_RAD, yaw * DEG_PER_RAD
 
     def apply(self, xyz: ArrayLike) -> Array:
-        """Rotate vectors (..., 3) from sensor axes to vehicle axes; same shape and unit."""
+        """Rotate vectors (..., 3) from sensor axes to vehicle axes. Shape and unit do not
+        change."""
         turned: Array = np.asarray(xyz, dtype=float) @ self.matrix.T
         return turned
 
     def inverse(self) -> MountResult:
-        """Return the rotation from vehicle to sensor axes; covariance about the sensor's axes."""
+        """Return the rotation from vehicle axes to sensor axes. Its covariance is about the
+        sensor's axes."""
         R = self.matrix
         return MountResult(R.T.copy(), R.T @ self.covariance_deg2 @ R)
 

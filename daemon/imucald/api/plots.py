@@ -21,7 +21,7 @@ MAX_POINTS = 20_000
 
 
 class Drawn(Protocol):
-    """The parts of a drive that the plots need."""
+    """The attributes of a drive that the plots need."""
 
     @property
     def tables(self) -> Mapping[str, Columns]:
@@ -57,7 +57,8 @@ class DrivePlots:
         return _finished(ax, "mount [deg], bands: 95 %")
 
     def signals(self, table: str = "accel", ax: Axes | None = None) -> Axes:
-        """Plot a table's numbers over time [s]; table: a name such as "gyro" or "raw/speed"."""
+        """Plot the numbers of a table over time [s]. table: a name such as "gyro" or
+        "raw/speed"."""
         found = self._drive.tables.get(table)
         if found is None:
             raise ImucaldError(
@@ -72,7 +73,8 @@ class DrivePlots:
         return _finished(ax, f"{table} (every {every}.)" if every > 1 else table)
 
     def evidence(self, ax: Axes | None = None) -> Axes:
-        """Plot the standard deviations [deg] that each kind of evidence would give alone."""
+        """Plot for each kind of evidence the standard deviations [deg] that the mount would have
+        with this evidence alone."""
         found = self._drive.summary["details"].get("evidence_std_deg", {})
         ax = _axes(ax)
         ax.barh(list(found), list(found.values()))

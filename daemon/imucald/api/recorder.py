@@ -30,13 +30,14 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
 
 MAX_EVENTS = 10_000
-"""Largest number of stored events. A log with more is not in order, or its clock is broken."""
+"""Largest number of stored events. If a log has more events, its frames are not in order or its
+clock is broken."""
 BLOCK_ROWS = 1000
 """When the history has this many new rows, they are moved to an array of numbers."""
 SHIFT = "shift"
-EVIDENCE = "evidence"
-"""Kind of event: a change that lies within its own 95 % interval."""
 """Kind of event: the sensor was moved."""
+EVIDENCE = "evidence"
+"""Kind of event: a change of the mount that lies within its own 95 % interval."""
 LATEST_US = 2**62
 """Limit of times of day [us], so that a damaged time stamp cannot overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
@@ -44,9 +45,11 @@ _UPPER = (0, 1, 2, 4, 5, 8)
 
 
 class Recorder:
-    """Collects history, events and (with `signals`) samples. The engine calls its methods.
+    """Collects history, events and (with `signals`) samples. The engine calls the methods of the
+    recorder.
 
-    share: returns the share of the logs that has been read; None if it is not known.
+    share: function that returns the share of the logs that has been read; None if the share is not
+    known.
     """
 
     def __init__(self, signals: bool, share: Callable[[], float | None] = lambda: None) -> None:
@@ -145,7 +148,8 @@ class Recorder:
         return columns_from(HISTORY_COLUMNS, [*times, self._states, usable > 0.0, *rest])
 
     def events(self, lead: float, engine: Engine) -> Columns:
-        """Return the events: changes of state, shifts, contradictions, segments, sensor faults."""
+        """Return the events: changes of state, shifts of the mount, contradictions, new segments,
+        sensor faults."""
         rows = [*self._events, *_sensor_faults(engine)]
         times, kinds, texts = ([row[column] for row in rows] for column in range(3))
         turns = np.full((3, len(rows)), math.nan)
@@ -159,7 +163,8 @@ class Recorder:
         return found.sorted_by_time()
 
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
-        """Return the samples since the last call, by table; kinds: the sensor of each channel."""
+        """Return the samples since the last call, by table. kinds: the kind of sensor of each
+        channel."""
         taken, self._tables, self.rows = self._tables, {}, 0
         found: dict[str, Columns] = {}
         for name, table in taken.items():
@@ -181,7 +186,7 @@ class Recorder:
 
 
 def _history_figures(e: MountEstimate) -> list[float]:
-    """Return the numbers of a history row, from the column roll_deg on."""
+    """Return the numbers of a row of the history, beginning with the column roll_deg."""
     nothing = (math.nan,)
     angles = list(nothing * 3 if e.angles is None else (a * DEG_PER_RAD for a in e.angles))
     quaternion = nothing * 4 if e.quaternion is None else e.quaternion

@@ -64,7 +64,7 @@ def replay(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> DriveResult | DriveSet:
-    """Replay logs. The result is bit for bit the same as that of `imucald replay`.
+    """Replay logs. The result is bit-identical to the result of `imucald replay`.
 
     config: a configuration, or the name of its file.
 
@@ -77,8 +77,8 @@ def replay(
     False, the result has only mount, history and events. progress: called with the bytes read and
     the total bytes (or None). strict: the first bad line raises LogError instead of being counted.
 
-    Raises ConfigError if the configuration cannot be used. Raises LogError for a log that cannot
-    be read or holds no CAN frame.
+    Raises ConfigError if the configuration cannot be used. Raises LogError for a log that cannot be
+    read or contains no CAN frame.
     """
     config = Configuration.of(config)
     if not isinstance(log, list | tuple):

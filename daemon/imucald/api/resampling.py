@@ -1,4 +1,5 @@
-"""Join tables with different rates at one rate, by averaging or interpolation."""
+"""Join tables with different rates in one table with a common rate, by averaging or
+interpolation."""
 
 from __future__ import annotations
 
@@ -12,13 +13,14 @@ from imucald.core.arrays import Array
 from imucald.core.errors import ImucaldError
 
 WINDOW_PERIODS = 4.0
-"""Length of the Hann window in periods of the new rate. The first zero of its spectrum is at
-2 / length, half the new rate. Above it, the level is below -31 dB (Harris, Proc. IEEE 66, 1978)."""
+"""Length of the Hann window in periods of the new rate. The first zero of its spectrum is at 2 /
+length, half the new rate. Above this frequency, the spectrum is below -31 dB (Harris, Proc. IEEE
+66, 1978)."""
 HOLE_PERIODS = 2.5
-"""Smallest distance of two samples that counts as a hole, in usual periods. The limit corresponds
-to two lost samples minus some jitter."""
+"""Two samples have a hole between them if the time between them is at least this, in usual periods.
+The value corresponds to two lost samples minus some jitter."""
 MAX_ROWS = 50_000_000
-"""Largest number of rows. More rows mean that the rate is a mistake."""
+"""Largest number of rows. A request for more rows shows that the stated rate is a mistake."""
 SKIPPED = ("t_s", "time", "quality")
 
 
@@ -54,7 +56,8 @@ def _numbers(name: str, table: Columns) -> list[TableColumn]:
 
 
 def _on_grid(t: Array, values: Array, grid: Array, rate_hz: float) -> Array:
-    """Resample values (N, k) at times t (N,) to the times grid (M,): (M, k), NaN in holes."""
+    """Resample values (N, k) at the times t (N,) to the times `grid` (M,). The result is (M, k),
+    with NaN in holes."""
     known = ~np.isnan(values).any(axis=1)
     t, values = t[known], values[known]
     nothing = np.full((len(grid), values.shape[1]), math.nan)
@@ -82,7 +85,8 @@ def _interpolated(t: Array, values: Array, grid: Array) -> Array:
 
 
 def _averaged(t: Array, values: Array, grid: Array, length: float) -> Array:
-    """Average with a Hann window of this length [s] around each time of the grid."""
+    """Average the values with a Hann window of the given length [s] around each time of the
+    grid."""
     low = np.searchsorted(t, grid - 0.5 * length, side="right")
     high = np.searchsorted(t, grid + 0.5 * length, side="left")
     total = np.zeros((len(grid), values.shape[1]))

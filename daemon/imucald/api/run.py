@@ -1,4 +1,5 @@
-"""One run of logs through an engine, as a whole or in parts. The command line uses it too."""
+"""A replay of logs through an engine, as a whole or in parts. The command line uses this module
+too."""
 
 from __future__ import annotations
 
@@ -67,7 +68,7 @@ def refuse_empty(frames: int, logs: Iterable[object]) -> None:
 
 
 class Watcher(Protocol):
-    """An observer of a run, for example the one that draws its page."""
+    """An observer of a run, for example the object that draws the HTML page."""
 
     def samples(self, part: SegmentSamples, /) -> None:
         """Receive the samples of a time segment."""
@@ -79,11 +80,11 @@ class Watcher(Protocol):
         """Return the receiver for the frames that the daemon would send."""
 
     def begins(self, lead: float, /) -> None:
-        """Receive the time [s] from the begin of the log to the first configured frame."""
+        """Receive the time [s] from the beginning of the log to the first configured frame."""
 
 
 class ReplayRun:
-    """The replay of the pieces of one recording through its own engine.
+    """The replay of the pieces of one recording through a new engine.
 
     sink: receives the frames that the daemon would send. speed: 1 is real time, None means as fast
     as possible.
@@ -141,15 +142,18 @@ class ReplayRun:
         return {**found, HISTORY: HISTORY_COLUMNS, EVENTS: EVENT_COLUMNS}
 
     def take_signals(self) -> dict[str, Columns]:
-        """Return the samples since the last call, by table. They are not stored any longer."""
+        """Return the samples since the last call, by table. The returned samples are not stored any
+        longer."""
         return self._recorder.take_signals(self._replay.lead, self._kinds)
 
     def history(self) -> Columns:
-        """Return the estimate once per second, up to the current time of the replay."""
+        """Return the history: the estimate once per second, up to the current time of the
+        replay."""
         return self._recorder.history(self._replay.lead)
 
     def result(self) -> DriveResult:
-        """Return the result of the frames so far, with the samples since `take_signals`."""
+        """Return the result of the frames so far, with the samples since the last call of
+        `take_signals`."""
         engine, reader = self.engine, self._reader
         lead = self._replay.lead
         if self._watcher is not None:

@@ -71,7 +71,8 @@ class DriveStream:
         return self._result
 
     def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
-        """Write the whole drive in bounded memory. All else is as in `DriveResult.write`."""
+        """Write the whole drive in bounded memory. Arguments, files and errors are the same as for
+        `DriveResult.write`."""
         from imucald.api.files.written import chosen, format_of, write_parts  # noqa: PLC0415
 
         format_of(Path(path))
@@ -96,9 +97,9 @@ def stream(
     progress: Progress | None = None,
     strict: bool = False,
 ) -> DriveStream:
-    """Replay one recording part by part. The memory is bounded for any length.
+    """Replay one recording part by part. The memory is bounded for a recording of any length.
 
-    Samples, arguments and errors are the same as those of `replay`. log: one log, or a list of the
+    Samples, arguments and errors are the same as for `replay`. log: one log, or a list of the
     pieces of one recording in their order.
     """
     return DriveStream(ReplayRun(Configuration.of(config), pieces(log), True, progress, strict))

@@ -1,4 +1,4 @@
-"""Access to a result's tables, one per rate. Only `resample` joins tables.
+"""Access to the tables of a result, one table per rate. Only `resample` joins tables.
 
 The modules that convert tables are imported at the first use, because a replay does not need them.
 """
@@ -71,9 +71,9 @@ class TableAccess(NamedTables):
     samples as the sensors sent them. "history": the estimate at 1 Hz. "events": the events.
 
     Every table begins with the columns `t_s` and `time`. `t_s` is in seconds since the log's first
-    frame and never decreases. `time` is the time that the log states (UTC). The unit is in the
-    name of each column and in the metadata of its Arrow field. It is also in the metadata of the
-    schema, under "imucald" and "PANDAS_ATTRS".
+    frame and never decreases. `time` is the time that the log states (UTC). The name of each column
+    contains its unit. The unit is also in the metadata of the Arrow field, and in the metadata of
+    the schema under "imucald" and "PANDAS_ATTRS".
     """
 
     @property
@@ -119,11 +119,12 @@ class TableAccess(NamedTables):
     def events(self) -> pa.Table:
         """The events. Columns: t_s, time, kind, text, and d_x_deg, d_y_deg, d_z_deg for a shift.
 
-        Kinds of events: "state" (text: the new state). "shift": the mount was moved; d_* is the
-        rotation vector about the vehicle's axes, known once a good mount is found after the shift.
-        "evidence": a change within its own 95 % interval, so nothing shows that the mount was
-        moved. "contradiction": signals contradict each other. "segment": a gap in the log, or the
-        clock was set. "sensor_fault": a sensor is faulty. The time is the time of detection.
+        Kinds of events: "state" (text: the new state). "shift": the sensor was moved; d_* is the
+        rotation vector of the move about the vehicle's axes, which is known as soon as the new
+        mount is good. "evidence": a change of the estimate within its own 95 % interval, so the
+        sensor was probably not moved. "contradiction": signals contradict each other. "segment": a
+        gap in the log, or the clock was set. "sensor_fault": a sensor is faulty. The time is the
+        time of detection.
         """
         return self.arrow(EVENTS)
 

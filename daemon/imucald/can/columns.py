@@ -1,4 +1,4 @@
-"""CAN frames: limits and flags, many frames as columns (arrays), and matches for wanted frames."""
+"""Data types for CAN frames: constants, columns of many frames (arrays), and id filters."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ CAN_EFF_MASK = 0x1FFF_FFFF
 """The bits of a 29-bit id."""
 
 CLASSIC_BYTES = 8
-"""Payload of a classic CAN frame [bytes]; longer ones are CAN FD."""
+"""Largest payload of a classic CAN frame [bytes]. A frame with a larger payload is CAN FD."""
 
 FD_BYTES = 64
-"""Payload of a CAN FD frame [bytes]."""
+"""Largest payload of a CAN FD frame [bytes]."""
 
 
 FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
@@ -31,13 +31,13 @@ CANFD_BRS = 1
 """Flag of a CAN FD frame: data phase at the higher bit rate, as usual in vehicles."""
 
 MAX_CHANNELS = 255
-"""Largest number of channels, because an index is one byte. A log with more is not genuine."""
+"""Largest number of channels, because an index is one byte. No real log has more channels."""
 
 CAN_RTR_FLAG = 0x4000_0000
 """Flag in a CAN id: the frame is a remote frame."""
 
 CAN_ERR_FLAG = 0x2000_0000
-"""Flag in a CAN id: the frame is an error frame. The other bits of its id are error classes."""
+"""Flag in a CAN id: the frame is an error frame. The other bits of this id are error classes."""
 
 
 class FrameColumns(Struct, frozen=True, eq=False):
@@ -85,7 +85,7 @@ class FrameColumns(Struct, frozen=True, eq=False):
         return Payloads(self.length.take(rows), self.data.take(rows, axis=0))
 
     def at(self, t: NDArray[np.float64]) -> FrameColumns:
-        """Return the same frames with other times [s], (N,)."""
+        """Return the same frames with the times `t` (N,) [s]."""
         return structs.replace(self, t=t)
 
     def rows(self) -> Iterator[tuple[float, int, bytes]]:

@@ -21,8 +21,8 @@ UNWANTED, WANTED, NO_ID = np.uint8(0), np.uint8(1), np.uint8(2)
 """The results of an `IdFilter` for an 11-bit id."""
 
 KNOWN_IDS = 4096
-"""Largest number of ids with a cached class. The cache is cleared beyond it, since a fuzzed bus may
-have any number of ids."""
+"""Largest number of ids with a cached class. The cache is cleared when it is full, because a fuzzed
+bus may have any number of ids."""
 
 
 class IdFilter:
@@ -30,7 +30,7 @@ class IdFilter:
     for one channel only."""
 
     def __init__(self, keep: Sequence[IdMatch] | None, channel: str) -> None:
-        """keep: None keeps everything."""
+        """keep: filters of the wanted ids; None means that all ids are wanted."""
         ours = [m for m in keep or () if m.channel is None or m.channel == channel]
         self.everything = keep is None
         standard = [m for m in ours if not m.can_id & CAN_EFF_FLAG]
@@ -44,10 +44,12 @@ class IdFilter:
         for m in standard:
             wanted |= ((ids ^ np.uint32(m.can_id)) & np.uint32(m.mask & CAN_EFF_MASK)) == 0
         self.verdict = np.full(16**3, NO_ID, np.uint8)
-        """(4096,) u1, index: three hexadecimal digits; WANTED, UNWANTED or (above 7FF) NO_ID."""
+        """(4096,) u1: WANTED, UNWANTED or (above 7FF) NO_ID. The index is an id of three
+        hexadecimal digits."""
         self.verdict[: len(ids)] = np.where(wanted, WANTED, UNWANTED)
         self.exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
-        """Wanted 29-bit ids (N,) with a full mask. All others are pairs of id and mask."""
+        """Wanted 29-bit ids (N,) with a full mask. All other 29-bit filters are pairs of id and
+        mask."""
         self.masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
 
     def extended(self, ids: NDArray[np.uint32]) -> NDArray[np.bool_]:
@@ -90,9 +92,10 @@ class FrameClass(enum.Enum):
 
 
 class LinkIdFilter(dict[int, FrameClass]):
-    """The class of each id with the flags of the kernel. The class is computed once per id.
+    """A dictionary from an id (with the kernel's flags) to the class of its frames. The class is
+    computed once per id.
 
-    This class decides about a frame. Filters in the kernel or adapter only reduce the work.
+    Filters in the kernel or adapter only reduce the work; this dictionary makes the decision.
     """
 
     def __init__(self, matches: Sequence[IdMatch], own_ids: Iterable[int], channel: str) -> None:

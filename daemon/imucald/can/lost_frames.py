@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from imucald.can.dbc.message import Message
 
 REGULAR, REGULAR_SHARE = 0.25, 0.6
-"""A message is cyclic if this share of its intervals (REGULAR_SHARE) equals its cycle within this
-part of the cycle (REGULAR). At half a cycle, one and two intervals cannot be distinguished. The
-limit is half of that."""
+"""A message is cyclic if the share REGULAR_SHARE of its intervals differs from its cycle by at most
+REGULAR cycles. With a difference of 0.5 cycles, one and two cycles could not be distinguished.
+REGULAR is half of this."""
 MOST_CYCLES, MOST_S = 20, 2.0
 """If an interval is longer than both limits (cycles, seconds), the sender was off, and no frames
 count as lost. A recorder that is too slow leaves gaps of some tenths of a second."""
 TOGETHER = 32
 """Number of frames that are fitted with one grid of times. A cycle that is 1 % wrong gives an error
-of a third of a cycle over them. A sender's clock does not drift that much in so few frames."""
+of a third of a cycle over 32 frames. A sender's clock does not drift that much in so few frames."""
 MOST_ROWS = 128
-"""Largest number of groups of frames. With these, the cycle is known to 0.1 %."""
+"""Largest number of groups of frames. With this number of groups, the cycle is known to 0.1 %."""
 PITCHES = np.exp(np.linspace(-0.16, 0.16, 129))
 """Tried cycles, divided by the median interval. Coarse time stamps change the median by up to a
 sixth. The step is the resolution of `TOGETHER` frames."""
@@ -55,7 +55,8 @@ def _cycle_of(intervals: NDArray[np.float64], usual: float) -> float:
     """Return the cycle near `usual` [s] whose grid fits frames with intervals (N,) [s] best.
 
     Coarse or late time stamps scatter about the grid, and a lost frame leaves a place of the grid
-    empty. Neither of them moves the grid (periodogram), but they would move the median.
+    empty. Scatter and lost frames do not shift the best grid (periodogram), but they would shift
+    the median.
     """
     rows = min(len(intervals) // TOGETHER, MOST_ROWS)
     if not rows:

@@ -12,7 +12,8 @@ from imucald.commands.terminal import PIPED_WIDTH, plain_console
 from imucald.core.text import counted, one_line
 
 LONG_QUANTITY, LONG_SOURCE = 18, 12
-"""Lengths above which names are broken at their dot on a narrow terminal [columns]."""
+"""On a narrow terminal, names longer than this are broken at their dot [columns]. LONG_QUANTITY is
+for quantities, LONG_SOURCE for sources."""
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
 
@@ -84,7 +85,8 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
 def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
     """Make the table of quantities.
 
-    narrow: long names break at their dot. stacked: cells may have two lines; else one line per row.
+    narrow: long names are broken at their dot. stacked: cells may have two lines; otherwise each
+    row is one line.
     """
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
     table.add_column("quantity", no_wrap=stacked)
@@ -121,7 +123,8 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
 
 
 def _broken(name: str, most: int | None) -> str:
-    """Break a dotted name that is longer than `most` into two lines; None: keep it."""
+    """Break a dotted name into two lines if it is longer than `most`. With most=None, return the
+    name unchanged."""
     return name if most is None or len(name) <= most else name.replace(".", ".\n", 1)
 
 

@@ -13,13 +13,14 @@ from imucald.commands.monitor import add_web_argument
 from imucald.core.errors import ConfigError
 
 DEFAULT_MINUTES = 6.0
-"""Length of the drive [min]. All angles converge in it; the user waits about fifteen seconds."""
+"""Length of the drive [min]. All angles converge during this drive. The user waits about fifteen
+seconds."""
 QUICK_MINUTES = 2.5
 LIVE_MINUTES = 30.0
 FASTEST = 20.0
 """Fastest speed, as a multiple of real time. A busy machine cannot reach it."""
 MAX_MINUTES = 120.0
-"""Longest drive [min]: two hours, for which the user waits some minutes."""
+"""Longest drive [min]. The user waits some minutes for it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +78,8 @@ def _command(options: argparse.Namespace, minutes: float) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the drive, show it, and compare. Return 0 if the estimate became usable."""
+    """Run the drive, show it, and compare the estimate with the truth. Return 0 if the estimate
+    became usable."""
     from imucald.commands.files import check_files
     from imucald.commands.terminal import plain_where_needed
 

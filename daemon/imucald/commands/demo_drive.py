@@ -3,8 +3,8 @@
 The car sends its frames in slices, with time stamps in simulated time. After each slice, the daemon
 works until its queue is empty. Therefore a drive runs as fast as the machine allows, and always
 gives the same numbers. A listener represents the control unit that uses the corrected frames. The
-consumer knows only ``imucald_out.dbc``, and accepts a frame only with a correct counter and
-checksum.
+listener knows only ``imucald_out.dbc``, and accepts a frame only if its counter and checksum are
+correct.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ from imucald.traffic.can_log import EPOCH_S, live_frames
 from imucald.traffic.drive_encoder import BusEncoder
 
 SLICE_S = 0.25
-"""Length of a slice of the drive that the car sends before the daemon runs [s]. It gives four views
-per second of driving, and queues of a hundred frames."""
+"""Length of a slice of the drive that the car sends before the daemon runs [s]. With this length,
+the picture changes four times per second of driving, and the queues contain about a hundred frames.
+"""
 LAST_S = 60.0
-"""Length of the last part of the drive in which acceleration and truth are compared [s]."""
+"""Length of the part at the end of the drive in which acceleration and truth are compared [s]."""
 UNKNOWN_STD = 1.0
 """An angle with a larger standard deviation counts as unknown [rad]."""
 ACCEL = "accel"
@@ -62,7 +63,8 @@ _channel_numbers = itertools.count()
 
 @dataclass(frozen=True)
 class Angle:
-    """One mount angle and its truth [rad]. std: of this angle. error: estimate minus truth."""
+    """One mount angle and its true value [rad]. std: standard deviation of the angle. error:
+    estimate minus truth."""
 
     name: str
     estimate: float
@@ -81,8 +83,8 @@ class Comparison:
     """Root mean square of the acceleration's error vector [m/s^2], over `count` samples.
 
     measured: error if the sensor's axes are used as the vehicle's axes. corrected: error of the
-    samples in imucald's frames. known_mount: error with an exactly known mount (noise, vibration,
-    bias).
+    samples in imucald's frames. known_mount: error if the mount were known exactly (from noise,
+    vibration and bias).
     """
 
     count: int
@@ -99,9 +101,9 @@ class Listener:
         self._router = compile_router(parse_config(_LISTENER, place))
         self.can_id = self._router.matches[0].can_id
         self.frames = 0
-        """Number of frames with corrected acceleration, available or not."""
+        """Number of frames for corrected acceleration, including frames *not available*."""
         self.values: list[tuple[float, ...] | None] = []
-        """Corrected acceleration [m/s^2] of each frame; None if not available."""
+        """Corrected acceleration [m/s^2] in each frame; None for *not available*."""
 
     @property
     def damaged(self) -> int:
@@ -211,7 +213,8 @@ class Demonstration:
         return series.values[i], self.listener.values[-1] if self.listener.values else None
 
     def compare(self, last_s: float = LAST_S) -> Comparison | None:
-        """Compare the listener's acceleration with the truth. None if it received none.
+        """Compare the acceleration that the listener received with the truth. None if the listener
+        received no acceleration.
 
         Each accelerometer sample gives one corrected frame, so sample n belongs to frame n.
         """

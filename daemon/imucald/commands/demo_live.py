@@ -1,7 +1,7 @@
 """`imucald demo --live`: a simulated bus, the real daemon and its monitor, with one command.
 
 The daemon is that of `imucald run`, in its own thread. The monitor reads the daemon's status
-socket, as for any other daemon. python-can's virtual bus needs no installation. Before that,
+socket, as for any other daemon. python-can's virtual bus needs no installation. Before the start,
 `imucald simulate` writes the drive to a log in a separate process. The log is read while it is
 played. Therefore the memory for the simulation is free again when the daemon starts.
 """
@@ -43,8 +43,7 @@ CHANNELS = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketc
 class SimulatedBus:
     """Sends the frames of a drive's log at their times, in a thread.
 
-    On the virtual bus, time stamps are those of the drive. Therefore it may run faster than real
-    time.
+    The frames have the time stamps of the drive. Therefore the drive may run faster than real time.
     """
 
     def __init__(self, log: Path, interface: str, channel: str, speed: float) -> None:
@@ -65,7 +64,7 @@ class SimulatedBus:
         self._thread.start()
 
     def is_over(self) -> bool:
-        """True if the last frame was sent. A busy machine needs longer than the drive."""
+        """True if the last frame was sent. On a busy machine, this takes longer than the drive."""
         return not self._thread.is_alive()
 
     def close(self) -> None:
@@ -130,7 +129,8 @@ def run_live(
 
 
 def _simulated(log: Path, seed: int, minutes: float, mount: str | None) -> dict[str, Any]:
-    """Write a drive to a log and return its truth. Raises ConfigError if that is not possible."""
+    """Write a drive to a log and return its truth. Raises ConfigError if the drive cannot be
+    simulated."""
     command = [sys.executable, "-P", "-m", "imucald", "simulate", "--out", str(log)]
     command += ["--seed", str(seed), "--minutes", str(minutes)]
     command += ["--mount", mount] if mount else []

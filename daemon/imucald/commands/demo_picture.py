@@ -1,4 +1,5 @@
-"""The picture of `imucald demo`: the present state, with the history of its uncertainty."""
+"""The picture of `imucald demo`: the present state, and the history of the uncertainty of each
+angle."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ HISTORY = 24
 """Width of the history of an angle's uncertainty [columns]."""
 BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDEST_DEG, NARROWEST_DEG = 12.0, 0.25
-"""95 % intervals [deg] at which a column of the history is full and empty (log scale)."""
+"""A column of the history is full at the first 95 % interval and empty at the second [deg]. The
+scale between them is logarithmic."""
 _STYLES = {
     MountState.USABLE: "green",
     MountState.FINE: "bold green",
@@ -38,7 +40,8 @@ _STYLES = {
 
 
 class Picture:
-    """The present state of a demonstration, with the history of its uncertainty."""
+    """Draws the present state of a demonstration, with the history of the uncertainty of each
+    angle."""
 
     def __init__(self) -> None:
         self._began = time.monotonic()
@@ -55,7 +58,8 @@ class Picture:
             history.extend([width] * (columns - len(history)))
 
     def draw(self, demo: Demonstration, steady: bool = True) -> Group:
-        """Return the picture: twenty lines at 80 columns. steady: the height never changes."""
+        """Return the picture: twenty lines if the terminal has 80 columns. steady: if True, the
+        height never changes."""
         estimate = demo.estimate()
         reports = [f"waiting for  {who}: {text}" for who, text in reasons(estimate.waiting_for)]
         waiting = [line for text in reports for line in textwrap.wrap(text, COLUMNS)]

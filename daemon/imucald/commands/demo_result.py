@@ -31,8 +31,8 @@ SVG_COLUMNS = 82
 def write_svg(demo: Demonstration, picture: Picture, path: Path, command: str) -> None:
     """Write the last picture and the result as SVG. Raises ImucaldError if that fails.
 
-    command: the command line of the demo, for the picture's metadata. The same command writes the
-    same file again, so no time of the machine is in it.
+    command: the command line of the demo, for the picture's metadata. The file contains no time of
+    the machine, so that the same command writes the same file again.
     """
     console = Console(
         record=True,
@@ -55,7 +55,7 @@ def write_svg(demo: Demonstration, picture: Picture, path: Path, command: str) -
 def print_result(demo: Demonstration, waited: float | None, console: Console | None = None) -> None:
     """Print estimate and truth, the comparison of the frames, and the next steps.
 
-    waited: real time that the drive took [s]; None: not printed.
+    waited: real time that the drive took [s]; with None, no time is printed.
     """
     console = console or plain_console()
     angles = angles_beside(demo.estimate(), demo.truth)

@@ -1,4 +1,5 @@
-"""The display of `imucald demo` during the drive: a live picture on a terminal, lines elsewhere."""
+"""The display of `imucald demo` during the drive: a live picture on a terminal, else lines of
+text."""
 
 from __future__ import annotations
 

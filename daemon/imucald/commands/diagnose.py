@@ -1,4 +1,5 @@
-"""`imucald diagnose`: find errors of the simulation with measured drives, causes and effects."""
+"""`imucald diagnose`: find errors of the simulation from measured drives, with their causes and
+effects."""
 
 from __future__ import annotations
 

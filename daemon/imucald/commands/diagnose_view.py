@@ -30,7 +30,8 @@ COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold ma
 
 @contextmanager
 def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
-    """Show the share done and the current step. Yields a callback for (share 0..1, text)."""
+    """Show a progress bar and the current step. Yields a callback with the arguments share done (0
+    to 1) and text of the step."""
     if quiet or not sys.stderr.isatty():
         yield _nothing
         return

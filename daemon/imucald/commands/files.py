@@ -19,8 +19,8 @@ Name = Path | str
 def fill_standard_files() -> None:
     """Open /dev/null if standard input, output or error is closed.
 
-    Otherwise, the next opened file would get its number. Messages of libraries would then be
-    written to this file, for example to a bus or to the saved state.
+    Otherwise, the next opened file would get the file descriptor of the closed stream. Messages of
+    libraries would then be written to this file, for example to a bus or to the saved state.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
@@ -72,7 +72,7 @@ def _check_output(path: Path) -> None:
 
 
 def with_origin(svg: str, command: str) -> str:
-    """Return the picture with the command that makes it in its metadata."""
+    """Return the picture with `command`, the command line that draws it, in its metadata."""
     from html import escape  # only some commands draw
 
     head, opening, rest = svg.partition("<svg")
@@ -81,7 +81,8 @@ def with_origin(svg: str, command: str) -> str:
 
 
 def write_text(name: Name, text: str) -> None:
-    """Write UTF-8 text to a file ('-': standard output). Raises ImucaldError if that fails."""
+    """Write UTF-8 text to a file ('-': standard output). Raises ImucaldError if the file cannot be
+    written."""
     if str(name) == STANDARD:
         sys.stdout.write(text)
         return
@@ -94,7 +95,7 @@ def write_text(name: Name, text: str) -> None:
 def write_yaml(name: Name, text: str, schema: str) -> None:
     """Write a YAML file with a line for editors that names its schema, and the schema next to it.
 
-    schema: name of the schema file, from `commands.schema`. To standard output, only the text is
+    schema: name of the schema file, from `commands.schema`. For standard output, only the text is
     written. Raises ImucaldError if a file cannot be written.
     """
     from imucald.commands.schema import schema_text
@@ -108,9 +109,8 @@ def write_yaml(name: Name, text: str, schema: str) -> None:
 
 @contextmanager
 def reported_when_cut(name: Name) -> Iterator[None]:
-    """Report on stderr that a file is incomplete if the body ends by an error or Ctrl-C.
-
-    A file that was removed (because the disk was full) is not reported.
+    """Context for writing a file. If it ends with an error or Ctrl-C, a text on stderr states that
+    the file is incomplete. There is no text if the file was removed (because the disk was full).
     """
     try:
         yield

@@ -26,7 +26,7 @@ def _store(options: argparse.Namespace) -> Store:
 
 
 def status(options: argparse.Namespace) -> int:
-    """Print the present results, the failures with reasons, and whether a run is active."""
+    """Print the results so far, the failed logs with reasons, and whether a run is active."""
     from collections import Counter
 
     from rich.table import Table
@@ -68,7 +68,7 @@ def status(options: argparse.Namespace) -> int:
 
 
 def why(options: argparse.Namespace) -> int:
-    """Print all data of one log in the tables."""
+    """Print all values that the tables contain for one log."""
     import pyarrow.compute as pc
 
     from imucald.commands.terminal import plain_console
@@ -118,7 +118,7 @@ def analyse(options: argparse.Namespace) -> int:
 
 
 def report(options: argparse.Namespace) -> int:
-    """Write the page."""
+    """Write the HTML page about the fleet."""
     from imucald.commands.files import check_files, write_text
     from imucald.fleet.page import fleet_page
 

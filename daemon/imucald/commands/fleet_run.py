@@ -33,7 +33,7 @@ _TIME = re.compile(r"([\d.]+)\s*(s|min|h|)")
 
 
 def retry(options: argparse.Namespace) -> int:
-    """Evaluate again the logs that failed before."""
+    """Evaluate the failed logs again."""
     options.redo = "failed"
     return run(options)
 
@@ -153,7 +153,8 @@ def _said(plan: Plan) -> str:
 
 
 class _Stopping:
-    """Handler of Ctrl-C and SIGTERM. The first finishes running logs only; the second aborts."""
+    """Handler of Ctrl-C and SIGTERM. After the first signal, only the logs in progress are
+    finished; the second signal aborts."""
 
     work: FleetRun | None = None
     """The run; None if it has not started. In that case, the first signal aborts."""
@@ -211,7 +212,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
 
 
 def _print_end(counts: Counts, whole: bool) -> int:
-    """Print how the run ended; return the exit status."""
+    """Print the result of the run, and return the exit status."""
     failed = ", ".join(f"{kind} {n}" for kind, n in sorted(counts.failed.items()))
     text = f"imucald: {counted(counts.done, 'log')} evaluated"
     print(f"{text}{f'; failed: {failed}' if failed else ''}", file=sys.stderr)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SHOWN = 10
-"""Number of printed rows of each kind. The tables have all rows."""
+"""Largest number of printed rows of each kind. The files of the tables contain all rows."""
 
 
 def print_analysis(tables: Mapping[str, pa.Table]) -> None:
@@ -91,8 +91,8 @@ def _turn(row: dict[str, Any]) -> str:
 
 
 def _q(q: float) -> str:
-    """Format the false-discovery rate. Very small rates are not printed as a number, because no
-    model of the noise is that exact."""
+    """Format the false-discovery rate. A very small rate is printed as an upper limit, because no
+    model of the noise is exact enough for such a small number."""
     return "q < 1e-6" if q < 1e-6 else f"q {q:.2g}"
 
 

@@ -1,4 +1,4 @@
-"""`imucald install-service`: put the systemd unit and its companions in place."""
+"""`imucald install-service`: install the systemd unit and its additional files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FILES = {
     "imucald_out.dbc": "share/imucald/imucald_out.dbc",
     "imucald_example.yaml": "share/imucald/imucald_example.yaml",
 }
-"""Name of each file in the package -> its path below PREFIX."""
+"""From the name of each file in the package to its path below PREFIX."""
 _PACKAGED = "/usr/bin/imucald"
 HIDDEN = tuple(map(Path, ("/home", "/root", "/run/user", "/tmp", "/var/tmp")))
 """Folders that a unit cannot see because of ProtectHome=yes and PrivateTmp=yes."""
@@ -108,7 +108,8 @@ def _write(path: Path, text: str) -> None:
 
 
 def _refuse_hidden(programs: Iterable[str]) -> None:
-    """Raise ConfigError if a unit could not see one of these files, or what it links to."""
+    """Raise ConfigError if a systemd unit could not see one of these files, or the target of its
+    symbolic link."""
     for program in map(Path, filter(os.path.isabs, programs)):
         for path in (program, program.resolve()):
             if hiding := [str(folder) for folder in HIDDEN if path.is_relative_to(folder)]:

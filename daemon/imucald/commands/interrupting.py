@@ -1,9 +1,9 @@
 """Handle Ctrl-C so that it never interrupts an import or `copyreg`.
 
 An import would wrap, print or ignore the exception. `copyreg`, which every `deepcopy` of a frame
-uses, would ignore it. SIGTERM and SIGHUP (closed terminal) are
-handled in the same way. A command that receives one of them cleans up as after Ctrl-C. Then it ends
-with this signal, as the sender expects.
+uses, would ignore it. SIGTERM and SIGHUP (closed terminal) are handled in the same way. A command
+that receives one of these signals cleans up as after Ctrl-C. Then the command ends with this
+signal, as the sender expects.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ UNSAFE = frozenset({
     "_frozen_importlib", "_frozen_importlib_external",  # the same, early
     "copyreg",
 })  # fmt: skip
-"""Modules whose functions would lose the exception."""
+"""Modules whose functions would catch and lose a KeyboardInterrupt."""
 NEXT_ATTEMPT_S = 0.02
-"""Time until the next attempt if one of them is running [s]."""
+"""Time until the next attempt to raise KeyboardInterrupt if a function of an unsafe module is
+running [s]."""
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Signal handler of the main thread: raise KeyboardInterrupt, as soon as it is not lost."""
+    """Signal handler of the main thread: raise KeyboardInterrupt, as soon as no function of
+    `UNSAFE` is running."""
     while frame is not None:
         if frame.f_globals.get("__name__") in UNSAFE:
             if not hasattr(signal, "setitimer"):  # Windows
@@ -39,7 +41,7 @@ def interrupt(_: int, frame: FrameType | None) -> None:
 
 
 class _Asked:
-    """The signal that has asked this process to end; 0: none."""
+    """The signal that requested the end of this process; 0 if there was none."""
 
     to_end = 0
 
@@ -51,7 +53,7 @@ def terminate(number: int, frame: FrameType | None) -> None:
 
 
 def ending_signal() -> int:
-    """The signal that has asked this process to end; 0: none."""
+    """The signal that requested the end of this process; 0 if there was none."""
     return _Asked.to_end
 
 

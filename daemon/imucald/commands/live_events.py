@@ -38,9 +38,9 @@ class LiveEvent:
 class LiveEvents:
     """Collects events in `events`, oldest first.
 
-    An event may have an earlier time than those already collected: a reason is reported only after
-    it has lasted for some time. Events that the daemon reports from earlier times get the time of
-    the daemon's clock. Therefore a monitor that is started late shows them too.
+    A new event may have an earlier time than collected events, because a reason is reported only
+    after it has lasted for some time. Events from before the start of the monitor are shown too,
+    with the time of the daemon's clock.
     """
 
     def __init__(self) -> None:
@@ -108,7 +108,8 @@ class LiveEvents:
 
 
 def logged_events(path: Path) -> list[dict[str, Any]]:
-    """Return the logged events of the daemon at a status socket; empty if it does not answer."""
+    """Return the logged events of the daemon at a status socket; empty if the daemon does not
+    answer."""
     try:
         found: list[dict[str, Any]] = content(path, "events", ask(path, "events"))["events"]
     except LinkError:

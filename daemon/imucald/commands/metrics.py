@@ -86,7 +86,8 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace a regular file or make one. For any other path, raises ImucaldError."""
+    """Replace or create a regular file. Raises ImucaldError if the path is anything else than a
+    regular file."""
     from imucald.core.errors import ImucaldError
     from imucald.core.files import write_file
 

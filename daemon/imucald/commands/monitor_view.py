@@ -1,4 +1,5 @@
-"""The picture of `imucald monitor`: bars of the intervals, inputs, events, for any width."""
+"""The picture of `imucald monitor` for terminals of any width: bars of the intervals, inputs,
+events."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ LONG_BAR = 60
 """Width of a bar [columns] if there is enough space."""
 FACTS = ("now", "losses", "rejected", "process")
 LEFT_OUT = "not used"
-"""Title of a row that is shown only if it has content."""
+"""Title of the row for unused signals. The row is shown only if it has content."""
 KIND_STYLES = {
     "alarm": "red",
     "fault": "red",
@@ -45,7 +46,7 @@ def monitor_picture(
 ) -> Group:
     """Return the picture for a terminal. The newest events fill the remaining height.
 
-    trouble: why the daemon does not answer; the rest is then its last status.
+    trouble: the reason why the daemon does not answer. The picture then shows the last status.
     """
     width, height = console.size
     is_grey = is_stale(status, trouble)

@@ -2,8 +2,8 @@
 
 The server reads the daemon's status socket once per second, keeps its history for the charts, and
 answers GET requests on 127.0.0.1. The page accepts no orders. A page of another site cannot read
-it: the host name in the request must be this machine's (against DNS rebinding), and other origins
-are not allowed.
+the data: the host name in the request must be the name of this machine (against DNS rebinding), and
+other origins are not allowed.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class LiveState:
 
     @property
     def newest(self) -> float:
-        """Time of day of the newest row [s]."""
+        """Time of day of the newest row of the history [s]."""
         return float(self._rows[-1][0]) if self._rows else -math.inf
 
     def add_history(self, found: Mapping[str, Any]) -> None:
@@ -175,7 +175,7 @@ def _matrix(quaternion: Sequence[float]) -> Matrix3:
 
 
 def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
-    """Return a row: an angle with its ±, and the rotation about an axis with its ± and target."""
+    """Return a row of the page: one angle with its ±, and the ± about one axis with its target."""
     mount, name, axis = status["mount"], ANGLES[i], "xyz"[i]
     value, spread = angle_cells(mount, name)
     std = judged_std(mount, axis)
@@ -277,7 +277,7 @@ class Connections:
     """Limits the number of connections of an aiohttp server.
 
     A connection that sends no complete request is closed after `ASK_S`. If there are more than
-    `CONNECTIONS_MAX` connections, it is closed earlier.
+    `CONNECTIONS_MAX` connections, such a connection is closed earlier.
     """
 
     def __init__(self) -> None:
@@ -303,7 +303,7 @@ class Connections:
         vars(server).update(connection_made=connection_made, connection_lost=connection_lost)
 
     def has_asked(self, handler: web.RequestHandler) -> None:
-        """Register a complete request. The server's own limit applies to the next one."""
+        """Register a complete request. The server's own time limit applies to the next request."""
         if handler in self._open:
             self._answered.add(handler)
             self._open[handler].cancel()
@@ -322,7 +322,8 @@ class Connections:
 
 
 def application(state: LiveState, connections: Connections | None = None) -> web.Application:
-    """Return the server. The server has only `/`, `/monitor.js` and `/live`, all read-only."""
+    """Return the web server. Its only paths are `/`, `/monitor.js` and `/live`; all are
+    read-only."""
     from aiohttp import web
 
     pages = resources.files("imucald.report") / "templates"

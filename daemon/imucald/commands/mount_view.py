@@ -29,19 +29,19 @@ BAR = 24
 
 
 TRY_CHECK = "run 'imucald check' on this bus or on a log: it names a wrong sign, axis or unit"
-"""Text for a contradiction between signals, which more driving does not solve."""
+"""Text about a contradiction between signals. More driving does not remove the contradiction."""
 
 
 def mount_parts(
     result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False, is_checked: bool = False
 ) -> Iterator[Table | Text]:
-    """Yield the angles of the housing, the sensor's orientation, the missing evidence, the
-    remaining driving, the axes of corrected samples, "±", and the errors left in corrected samples:
-    the least useful last.
+    """Yield the parts of the view, the most useful part first: angles of the housing, orientation
+    of the sensor, missing evidence, remaining driving, axes of corrected samples, an explanation of
+    "±", and the remaining errors of corrected samples.
 
     result: as in docs/json.md, or a status (also of an older daemon). bar: width of bars [columns].
-    is_stale: no frames flow now, so no target is shown as reached. is_checked: the reader has the
-    result of `check`.
+    is_stale: no corrected frames are sent now, so no target is shown as reached. is_checked: the
+    result of `check` is shown too.
     """
     mount, progress = result["mount"], result.get("progress")
     yield _angles(result)
@@ -64,9 +64,10 @@ def mount_parts(
 
 
 def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
-    """Make a bar for each missing condition, with its share and the remaining driving.
+    """Make a bar for each missing condition, with its progress and the remaining driving time.
 
-    is_stale: nothing flows, so nothing is good and no time is stated.
+    is_stale: no corrected frames are sent now, so no bar has the colour for good and no time is
+    stated.
     """
     unfinished, finished = ("dim", "dim") if is_stale else ("yellow", "green")
     table = Table(box=None, pad_edge=False)
@@ -84,7 +85,7 @@ def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
 
 
 def _angles(result: Mapping[str, Any]) -> Table:
-    """Make the table of the housing: its angles, each with its ±."""
+    """Make the table of the mount angles of the housing, each with its ±."""
     table = Table(box=None, pad_edge=False)
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
@@ -95,7 +96,8 @@ def _angles(result: Mapping[str, Any]) -> Table:
 
 
 def _axes(result: Mapping[str, Any], is_stale: bool) -> Table:
-    """Make the table of corrected samples: the ± about each axis by which the state is judged."""
+    """Make the table of the ± of corrected samples about each axis. The state of the mount depends
+    on these values."""
     table = Table(box=None, pad_edge=False)
     table.add_column("corrected", min_width=12)
     table.add_column("± 95 %", justify="right", min_width=7)

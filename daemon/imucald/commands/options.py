@@ -32,7 +32,8 @@ def positive(text: str) -> float:
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the configuration and for databases that replace those it names."""
+    """Add the options for the configuration, and for databases that replace the databases of the
+    configuration."""
     parser.add_argument(
         "--config",
         required=True,
@@ -77,6 +78,6 @@ def refuse_log_and_bus(options: argparse.Namespace) -> None:
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
-    """Add the options for a bus that replaces the configured one."""
+    """Add the options for a bus that replaces the configured bus."""
     parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
     parser.add_argument("--channel", help="channel of this interface, such as can0")

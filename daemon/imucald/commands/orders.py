@@ -19,7 +19,8 @@ WHO = (
     "no daemon runs, 8 the daemon does not answer."
 )
 NOT_RUNNING = 3
-"""Exit status if no daemon runs, as in `systemctl is-active` and `status` of init scripts."""
+"""Exit status if no daemon runs. `systemctl is-active` and the command `status` of init scripts use
+the same number."""
 
 
 def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:

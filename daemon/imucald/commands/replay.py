@@ -230,7 +230,7 @@ def _quantities(options: argparse.Namespace) -> list[str] | None:
 
 
 def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """Return the output file of each drive."""
+    """Return the path of the output file of each drive; None without output files."""
     from imucald.api.drives import names_apart
 
     if path is None:
@@ -239,7 +239,7 @@ def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
 
 
 def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """Return the folder of each drive's page, inside the given folder."""
+    """Return the folder for the page of each drive, inside the given folder."""
     from imucald.api.drives import names_apart
 
     if folder is None:
@@ -254,7 +254,8 @@ def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
 def _page(
     options: argparse.Namespace, logs: Sequence[str], folder: Path | None
 ) -> ReplayReport | None:
-    """Return the collector of the drive's page; None if no page is wanted."""
+    """Return the object that collects the data for the drive's page; None if no page is
+    requested."""
     if folder is None:
         return None
     from imucald.commands.replay_report import ReplayReport
@@ -263,8 +264,8 @@ def _page(
 
 
 def _print_problems(options: argparse.Namespace, drive: DriveResult, log: str = "") -> None:
-    """Print the problems, which name their log, and the notes, behind the name of one of several
-    logs.
+    """Print the problems and notes of a drive. log: name of the log, printed before each note if
+    there are several logs.
     """
     from imucald.api.run import UNUSED
 

@@ -1,4 +1,4 @@
-"""What `imucald check` finds wrong in a drive whose signals contradict each other."""
+"""For a drive whose signals contradict each other, find the errors that `imucald check` reports."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def causes(
     logs: Sequence[str],
     result: Mapping[str, Any],
 ) -> list[str]:
-    """Return the likely causes of the contradictions in a replayed drive; empty if it has none.
+    """Return the likely causes of the contradictions in a replayed drive; empty if there is no
+    contradiction.
 
     The estimator compares pairs of signals while it runs, so it cannot say which signal of a pair
     is wrong. `check` judges the whole drive. If it finds no error, the text says so. result: as in

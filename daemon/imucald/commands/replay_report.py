@@ -18,7 +18,8 @@ from imucald.report.replay_page import replay_page
 
 
 class ReplayReport:
-    """Collects the data of the page, then writes it. Raises ImucaldError before any work."""
+    """Collects the data of the page during a replay, then writes the page. Raises ImucaldError
+    before the replay if the page cannot be written."""
 
     def __init__(
         self,
@@ -35,7 +36,8 @@ class ReplayReport:
     def write(
         self, result: Mapping[str, Any], problems: Sequence[str], causes: Sequence[str]
     ) -> None:
-        """Write the page. causes: see `replay_causes`. Raises ImucaldError if that fails."""
+        """Write the page. causes: see `replay_causes`. Raises ImucaldError if the page cannot be
+        written."""
         options = self._options
         about = about_now(self._logs, options.config, model="")
         file = write_page(self._folder, replay_page(self.history, result, problems, about, causes))

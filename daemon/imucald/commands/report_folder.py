@@ -1,5 +1,5 @@
-"""The folder of option `--report`. The folder is checked before the work, and made and filled after
-it."""
+"""The folder of option `--report`. The folder is checked before the replay; it is created and
+filled after the replay."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def check_report_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder if it does not exist. Raises ImucaldError if that fails."""
+    """Make a folder if it does not exist. Raises ImucaldError if the folder cannot be made."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -41,7 +41,8 @@ def about_now(logs: Sequence[str], config: Path, model: str) -> About:
 
 
 def write_page(folder: Path, page: str) -> Path:
-    """Write the page into its folder; return its path. Raises ImucaldError if that fails."""
+    """Write the page into the folder, and return the path of the page. Raises ImucaldError if the
+    page cannot be written."""
     make_folder(folder)
     write_text(folder / PAGE, page)
     return folder / PAGE

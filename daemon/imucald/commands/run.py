@@ -17,7 +17,8 @@ WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h). This exit status tells systemd not to start the daemon
 again."""
 LOG_LEVELS = ("error", "warning", "notice", "info")
-"""Log levels, as in `service.journal`, which is loaded later."""
+"""Names of the log levels in `service.journal`. They are repeated here, because that module is
+loaded later."""
 NO_SOCKET = (
     "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
     "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for all "
@@ -182,7 +183,7 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
 
 
 def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
-    """Return the process that serves metrics; None if it is not wanted."""
+    """Return the process that serves metrics; None if no address is given."""
     if address is None:
         return None
     from imucald.commands.metrics import serve

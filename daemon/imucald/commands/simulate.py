@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
 MAX_SCALE = 0.5
-"""Largest gain error. No sensor has 50 % error, and a value of 1 means that a factor was given."""
+"""Largest gain error. No sensor has an error of 50 %. A value near 1 shows that the user stated a
+factor instead of an error."""
 MAX_MINUTES = 600.0
-"""Longest drive [min]: ten hours, about 1.5 GB of memory."""
+"""Longest drive [min]. A drive of ten hours needs about 1.5 GB of memory."""
 
 
 LATEST_START_S = 4_102_444_800.0
@@ -198,7 +199,8 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
 def chosen_model(options: argparse.Namespace, side: str | None = None) -> VehicleModel:
     """Return the model that the options select (from a file or random), with the given changes.
 
-    side: driving side in the configuration. A side from `--set` or a model file is preferred.
+    side: driving side in the configuration. A driving side from `--set` or a model file takes
+    precedence.
     """
     from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model
@@ -242,7 +244,8 @@ def _check_scales(model: VehicleModel) -> None:
 
 
 def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:
-    """Return the driving side: the configuration's, unless the model file states one."""
+    """Return the driving side: the side of the model file if it states one, else the side of the
+    configuration."""
     from imucald.core.yaml_lines import read_yaml_file
 
     if not options.model:

@@ -108,7 +108,8 @@ def exit_status(status: Mapping[str, Any]) -> int:
 
 
 def asked(options: argparse.Namespace, request: str) -> str | int:
-    """Return the selected daemon's answer. Without one, print why, and return the exit status."""
+    """Return the answer of the selected daemon. If there is no answer, print the reason and return
+    the exit status."""
     answer = answer_of(options, request)
     if isinstance(answer, str):
         return answer
@@ -117,7 +118,7 @@ def asked(options: argparse.Namespace, request: str) -> str | int:
 
 
 def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
-    """Return the answer of the selected daemon, or why there is none."""
+    """Return the answer of the selected daemon, or the reason why there is no answer."""
     from imucald.service.asking import KINDS, BusyError, ask, content
 
     try:
@@ -134,7 +135,8 @@ def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
 
 
 def running_sockets(channel: str | None = None) -> list[Path]:
-    """Return the status sockets of this machine's daemons, or only of one channel's daemons."""
+    """Return the status sockets of all daemons on this machine. With `channel`, return only the
+    sockets of daemons on this channel."""
     from imucald.core.text import encodable
     from imucald.service.asking import RUNNING
 
@@ -149,7 +151,8 @@ def running_sockets(channel: str | None = None) -> list[Path]:
 
 
 def _channel_of(path: Path) -> str | None:
-    """Ask a daemon for its channel, for a channel that is named only in the configuration."""
+    """Ask a daemon for the name of its channel. This is necessary if only its configuration names
+    the channel."""
     from imucald.service.asking import ask, content
 
     try:
@@ -159,7 +162,7 @@ def _channel_of(path: Path) -> str | None:
 
 
 def find_socket(given: Path | None, channel: str | None) -> Path:
-    """Return the selected socket. If it is not clear, LinkError lists the possible ones."""
+    """Return the selected socket. If several sockets are possible, LinkError lists them."""
     if given is not None:
         return given
     found = running_sockets(channel)

@@ -56,21 +56,22 @@ EVIDENCE = {
     "stops": ("stop", ""),
     "off_vertical": ("restart", "restarts"),
 }
-"""Names of the kinds of evidence, singular and plural. Softer driving is evidence too, and is not
-counted."""
+"""Names of the kinds of evidence, singular and plural. Only strong manoeuvres are counted, but
+gentle driving is evidence too."""
 
 SHARE_SHOWN = 0.05
 _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
-"""Alarms of sensors that do not send."""
+"""Alarms for sensors that send no samples."""
 
 
 def waits_for(status: Mapping[str, Any]) -> str:
-    """Return one line: the frames that flow, and the missing evidence."""
+    """Return one line about the frames that are sent now, and about the missing evidence."""
     return "; ".join([flow(status).text, *_still_missing(status)])
 
 
 def short(status: Mapping[str, Any]) -> str:
-    """Return the status as one line: frames that flow, angles, missing evidence."""
+    """Return the status as one line: the frames that are sent now, the angles, the missing
+    evidence."""
     angles = angles_line(status["mount"])
     return "; ".join([flow(status).text, *([angles] if angles else []), *_still_missing(status)])
 
@@ -90,7 +91,8 @@ def picture(status: Mapping[str, Any]) -> Group:
 
 
 def print_status(console: Console, status: Mapping[str, Any]) -> None:
-    """Print the complete status. Its first line is repeated where it has scrolled away."""
+    """Print the complete status. The first line is repeated at the end if it is not visible any
+    more."""
     whole = picture(status)
     console.print(whole)
     if console.is_terminal and len(console.render_lines(whole)) >= console.height:
@@ -98,16 +100,17 @@ def print_status(console: Console, status: Mapping[str, Any]) -> None:
 
 
 def _first_line(status: Mapping[str, Any]) -> Text:
-    """Return whether corrected frames flow now."""
+    """Return a text that states whether corrected frames are sent now."""
     now = flow(status)
     return Text(now.text, style=FLOW_STYLES[now.kind])
 
 
 def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
-    """Return the first lines: whether corrected frames flow now, the daemon, the mount's state.
+    """Return the first lines: whether corrected frames are sent now, the daemon, and the state of
+    the mount.
 
-    trouble: why the daemon does not answer; the rest is then its last status. The state has its
-    colour only while frames flow, because a known mount is useless without frames.
+    trouble: the reason why the daemon does not answer; status is then its last status. The state
+    has its colour only while frames are sent, because a known mount is useless without frames.
     """
     link, state, text = status["link"], status["state"], Text()
     if trouble:
@@ -130,12 +133,14 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
 
 
 def is_stale(status: Mapping[str, Any], trouble: str = "") -> bool:
-    """True if no frames flow now, so nothing may be shown as good; trouble: see `headline`."""
+    """True if no corrected frames are sent now. In this case nothing may be shown as good. trouble:
+    see `headline`."""
     return bool(trouble) or flow(status).kind in SILENT
 
 
 def no_answer(error: Exception, last: float | None) -> str:
-    """Why a daemon does not answer, in words; last: time of day of its last answer [s]."""
+    """Return a text that states why a daemon does not answer. last: time of day of its last answer
+    [s]."""
     if last is None:
         return str(error)
     words = "the daemon has ended"
@@ -145,7 +150,7 @@ def no_answer(error: Exception, last: float | None) -> str:
 
 
 def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
-    """Return signals, evidence, frames, alarms, losses, saved state and process.
+    """Return a table with signals, evidence, frames, alarms, losses, saved state and process.
 
     wanted: the rows to show; all rows if empty.
     """
@@ -190,13 +195,15 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
 
 
 def _not_understood(link: Mapping[str, Any]) -> str:
-    """Return a text about rejected frames, if there are any. SocketCAN never has such frames."""
+    """Return a text about frames that python-can could not interpret, if there are any. SocketCAN
+    never has such frames."""
     count = link.get("rejected", 0)  # an older daemon does not count them
     return f", {count} not understood" if count else ""
 
 
 def _troubles(status: Mapping[str, Any]) -> list[str]:
-    """Return problems of mount and signals; "suspect" if no other problem is known."""
+    """Return texts about problems of mount and signals. If there is no such text and the mount is
+    suspect, a text states this."""
     found = [text for _, text in reasons(status["waiting_for"]) if is_trouble(text)]
     restored = status["details"].get("restored", {})
     if not found and restored.get("phase") == "doubted" and restored.get("doubt"):
@@ -207,7 +214,7 @@ def _troubles(status: Mapping[str, Any]) -> list[str]:
 
 
 def _sensors(status: Mapping[str, Any]) -> Text:
-    """Return which sensors can be used, and why the others cannot."""
+    """Return a text that states which sensors can be used, and why the other sensors cannot."""
     health = status["signal_health"]
     absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
     if is_starting(status):
@@ -236,7 +243,7 @@ def _evidence(details: Mapping[str, Any]) -> str:
 
 
 def _weights(details: Mapping[str, Any]) -> str:
-    """Return which evidence determines each angle."""
+    """Return a text that states which evidence determines each angle."""
     parts = []
     for angle, shares in details.get("evidence_share", {}).items():
         sums: dict[str, float] = {}

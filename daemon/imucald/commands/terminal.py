@@ -18,13 +18,15 @@ Progress = Callable[[int, int | None], None]
 
 
 MOST_EVENTS = 10
-"""Largest number of event lines after a replay, so that they fit a screen with the mount."""
+"""Largest number of event lines after a replay. With this number, events and mount fit on one
+screen."""
 PIPED_WIDTH = 2000
 """Width of the output [columns] without a terminal, so that each row is one line."""
 
 
 class _LinesWithoutPadding(io.TextIOBase):
-    """Passes text on line by line, without the trailing blanks of table columns."""
+    """Text stream that passes lines to another stream and removes trailing blanks of table
+    columns."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -36,20 +38,21 @@ class _LinesWithoutPadding(io.TextIOBase):
         return self._stream.encoding
 
     def write(self, text: str) -> int:
-        """Pass on the complete lines."""
+        """Pass the complete lines to the other stream."""
         *lines, self._line = (self._line + text).split("\n")
         self._stream.writelines(f"{line.rstrip(' ')}\n" for line in lines)
         return len(text)
 
     def flush(self) -> None:
-        """Pass on the remaining text."""
+        """Pass the remaining text to the other stream."""
         self._stream.write(self._line)
         self._line = ""
         self._stream.flush()
 
 
 def screen_console(**given: Any) -> Console:
-    """Make a console of rich. Control codes in texts are removed; the console's own are kept."""
+    """Make a console of rich. Control codes in texts are removed. The control codes of rich itself
+    are kept."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -77,7 +80,7 @@ def screen_console(**given: Any) -> Console:
 def plain_console() -> Console:
     """Make a console for tables on standard output.
 
-    Names from databases are not read as markup, and a closed pipe is not an error. Without a
+    Names from databases are not interpreted as markup, and a closed pipe is not an error. Without a
     terminal, each row is one line, for `grep` and `awk`.
     """
     if sys.stdout.isatty() or "COLUMNS" in os.environ:
@@ -196,7 +199,7 @@ def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:
-    """Yield results of functions besides the calibration, if they were enabled."""
+    """Yield texts about the results of attitude and direction of travel, if they are enabled."""
     attitude = result.get("attitude")
     if attitude is not None:
         angles = ", ".join(

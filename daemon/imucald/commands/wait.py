@@ -13,7 +13,7 @@ from imucald.commands.options import add_quiet
 
 POLL_S = 0.5
 REPEAT_S = 30.0
-"""Shortest time until a line is printed again if only its numbers change [s]."""
+"""If only the numbers in a line change, the line is printed again after at least this time [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask twice per second. If the awaited conditions change, print them and their progress."""
+    """Request the status twice per second. If the missing conditions change, print these conditions
+    and their progress."""
     from imucald.commands.status import FINE
     from imucald.core.errors import ImucaldError
     from imucald.core.text import without_numbers
@@ -62,7 +63,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _asked(options: argparse.Namespace) -> tuple[int, str]:
-    """Return the present exit status, and a line about flowing frames and missing conditions.
+    """Return the present exit status, and a line about the frames that are sent and the missing
+    conditions.
 
     Raises LinkError if several daemons run and none is named, or if another program answers.
     """

@@ -11,7 +11,7 @@ from imucald.commands.options import LOG_HELP, add_config, add_quiet, configurat
 from imucald.core.text import counted
 
 SHOWN = 20
-"""Largest number of table lines. Steps are left out so that the table fits a page."""
+"""Largest number of lines of the table. If there are more steps, some steps are not shown."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,8 +1,8 @@
-"""Read YAML into typed settings. Each mistake gives one line with its place and a remedy.
+"""Read YAML files into typed settings. Each mistake gives one line with its place and a remedy.
 
 The settings in this package define the configuration reference. `imucald schema` prints their JSON
-schema, and ``docs/configuration.md`` is checked against them. Files are untrusted: the limits of
-size, nesting and aliases are checked before any setting is built.
+schema, and ``docs/configuration.md`` is checked against them. Files are untrusted: limits of size,
+nesting and aliases are checked before any setting is created.
 """
 
 from __future__ import annotations

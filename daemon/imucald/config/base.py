@@ -12,7 +12,8 @@ EXTENDED_ID_MAX = 0x1FFF_FFFF
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Unknown keys are mistakes; nothing changes once it is read."""
+    """Base class of all settings. Unknown keys are mistakes. Settings cannot be changed after they
+    are read."""
 
 
 CanId = Annotated[int, Meta(ge=0, le=EXTENDED_ID_MAX)]
@@ -21,16 +22,16 @@ SourceAddress = Annotated[int, Meta(ge=0, le=253)]
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=0.5)]
-"""Relative uncertainty."""
+"""Relative uncertainty (fraction)."""
 Angle = Annotated[float, Meta(ge=-180, le=180)]
-"""[deg]"""
+"""An angle [deg]."""
 MIN_SPEED_DELAY, MAX_SPEED_DELAY = -0.5, 1.8
 """Limits of the speed delay relative to the accelerometer [s], for the configuration and for the
-search. A speed of 1 Hz that is averaged over its cycle and waits for a frame is one second late. A
-filter in the receiver adds up to one second. The accelerometer can only be late by a low-pass
-filter and its own cycle."""
+search. A speed of 1 Hz that is averaged over its cycle and waits for its frame is delayed by one
+second. A filter in the receiver adds up to one second. The accelerometer is delayed only by a
+low-pass filter and its own cycle, so the lower limit is small."""
 SpeedDelay = Annotated[float, Meta(ge=MIN_SPEED_DELAY, le=MAX_SPEED_DELAY)]
-"""[s]"""
+"""Delay of the speed [s], within the limits above."""
 
 
 PerAxis = Positive | Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]
@@ -39,13 +40,14 @@ crashes msgspec 0.22 when garbage is collected.)"""
 
 
 def per_axis(value: float | tuple[float, ...]) -> tuple[float, float, float]:
-    """Return the numbers for x, y, z; a single number counts for all three."""
+    """Return the numbers for x, y, z. A single number is used for all three axes."""
     x, y, z = value if isinstance(value, tuple) else (value, value, value)
     return x, y, z
 
 
 class Radians:
-    """Descriptor: the file gives an angle (or rate) in degrees, and reading it gives radians."""
+    """Descriptor for an angle (or rate) that the file states in degrees. Reading the attribute
+    returns radians."""
 
     def __init__(self, key: str) -> None:
         self._key = key
@@ -55,7 +57,8 @@ class Radians:
 
 
 class RadiansPerAxis(Radians):
-    """Descriptor as `Radians` for a key with one number or one per axis; returns three numbers."""
+    """Descriptor like `Radians`, for a key with one number or one number per axis. Reading returns
+    three numbers."""
 
     def __get__(  # type: ignore[override]
         self, settings: Struct, owner: type[Struct]
@@ -65,7 +68,7 @@ class RadiansPerAxis(Radians):
 
 
 class RadiansOrNone(Radians):
-    """Descriptor as `Radians` for an optional key; returns None if it is absent."""
+    """Descriptor like `Radians`, for an optional key. Reading returns None if the key is absent."""
 
     def __get__(self, settings: Struct, owner: type[Struct]) -> float | None:  # type: ignore[override]
         degrees = getattr(settings, self._key)
@@ -73,7 +76,8 @@ class RadiansOrNone(Radians):
 
 
 class Part:
-    """Descriptor: the file gives a share in percent, and reading it gives a fraction of 1."""
+    """Descriptor for a share that the file states in percent. Reading the attribute returns a
+    fraction of 1."""
 
     def __init__(self, key: str) -> None:
         self._key = key

@@ -24,16 +24,18 @@ class StaticTestSettings(Settings, frozen=True):
     """Method A, steps 1 to 3: standstill, and tilt from gravity."""
 
     samples: Annotated[int, Meta(ge=2, le=100_000)] = 20
-    """Accelerometer samples that a window at rest needs."""
+    """Smallest number of accelerometer samples in a window at rest."""
     duration: Positive = 2.0
     """Duration of a window at rest [s]."""
     threshold: tuple[Positive, Positive, Positive] = (0.4, 0.4, 0.4)
-    """Largest max - min per axis [m/s^2] if the speed is unknown."""
+    """Largest difference between maximum and minimum of each axis at rest [m/s^2] if the speed is
+    unknown."""
     threshold_at_zero_speed: tuple[Positive, Positive, Positive] = (1.2, 1.2, 1.2)
-    """Largest max - min per axis [m/s^2] if the speed is zero: a running engine shakes the
-    sensor."""
+    """Largest difference between maximum and minimum of each axis at rest [m/s^2] if the speed is
+    zero. The value is larger because a running engine shakes the sensor."""
     standstill_speed: Positive = 0.3
-    """The vehicle stands up to this speed [m/s]: one step of an OBD-II speed is 0.28 m/s."""
+    """Up to this speed, the vehicle counts as standing [m/s]. The resolution of an OBD-II speed is
+    0.28 m/s."""
     average_stops: bool = True
     """True: all stops are used (not in the publication). False: only the last stop is used."""
 
@@ -51,35 +53,40 @@ class StraightMotionSettings(Settings, frozen=True):
             Meta(min_length=1),
         ]
     ) = ("yaw_rate", "steering", "consistency")
-    """Tests in order of preference; the first test whose signal is present decides. Tests in an
-    inner list must all agree; `all` means steering and yaw rate."""
+    """Tests in order of preference. The first test whose signal is present is used. All tests in an
+    inner list must agree. `all` means steering and yaw rate."""
     yaw_rate_limit_deg_s: Positive = 2.0
-    """Largest yaw rate of straight motion if v r is known and `lateral_limit` applies too."""
+    """Largest yaw rate of straight motion if speed times yaw rate (v r) is known and
+    `lateral_limit` applies too."""
     yaw_rate_limit_without_speed_deg_s: Positive = 1.0
-    """Largest yaw rate if v r is unknown or not limited: 1 deg/s at 20 m/s is 0.35 m/s^2."""
+    """Largest yaw rate of straight motion if speed times yaw rate (v r) is unknown or not limited:
+    1 deg/s at 20 m/s is 0.35 m/s^2."""
     steering_limit_deg: Positive = 10.0
     """Largest steering-wheel angle of straight motion."""
     lateral_limit: NotNegative = 0.6
-    """Largest |v r| of straight motion [m/s^2]; 0: no limit."""
+    """Largest size of speed times yaw rate in straight motion [m/s^2]; 0 means no limit."""
     min_speed_change: Positive = 0.25
-    """Smallest |dv/dt| that is used [m/s^2]. Below, slope and noise determine the angle."""
+    """Smallest |dv/dt| that is used [m/s^2]. For smaller values, slope and noise would determine
+    the angle."""
     manoeuvre_peak: Positive = 0.8
-    """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
+    """A manoeuvre counts only if |dv/dt| reaches this value [m/s^2]."""
     min_speed: Positive = 1.0
-    """Nothing is learnt below this speed [m/s]: clutch, manoeuvring, dead zone of the signal."""
+    """Nothing is learnt below this speed [m/s], because of the clutch, manoeuvring, and the dead
+    zone of the speed signal."""
     min_speed_without_reverse: Positive = 2.0
-    """Nothing is learnt below this speed without a reverse signal [m/s]: drivers do not reverse
-    faster for long."""
+    """Without a reverse signal, nothing is learnt below this speed [m/s], because drivers do not
+    reverse faster than this for a long time."""
     consistency_window: Annotated[int, Meta(ge=2, le=1000)] = 15
-    """Number of successive angles, ten a second, that must agree."""
+    """Number of successive angles that must agree. There are ten angles per second."""
     consistency_range_deg: Positive = 25.0
-    """Range within which these angles agree."""
+    """The successive angles agree if their range is at most this."""
     consistency_mean: Positive = 1.0
-    """Time over which each angle is averaged [s]. Without it road noise is as large as braking."""
+    """Time over which each angle is averaged [s]. Without averaging, road noise is as large as
+    braking."""
 
     @property
     def groups(self) -> tuple[tuple[Recogniser, ...], ...]:
-        """Groups of tests by preference; the tests of a group must all agree."""
+        """Groups of tests in order of preference. All tests of a group must agree."""
         if self.recognise_by == "all":
             return (("steering", "yaw_rate"),)
         return tuple(one if isinstance(one, tuple) else (one,) for one in self.recognise_by)
@@ -101,27 +108,31 @@ class TargetAngleSettings(Settings, frozen=True):
     sign_from: Annotated[
         tuple[Literal["speed", "brake", "turn", "first_motion"], ...], Meta(min_length=1)
     ] = ("speed", "brake", "turn", "first_motion")
-    """Signals that separate accelerating from braking: speed if it is known, else a vote of the
-    others."""
+    """Signals that distinguish accelerating from braking. If the speed is known, it decides;
+    otherwise the other signals vote."""
     subtract_lateral: bool = True
-    """True: v r is subtracted if speed and yaw rate are known (not in the publication)."""
+    """True: speed times yaw rate is subtracted if both are known (not in the publication)."""
     remove_offset_after: NotNegative = 1.0
-    """Time constant of the mean that is removed, since slope and bias wander [s]; 0: never."""
+    """Time constant of the mean that is subtracted, because slope and bias change slowly [s]; 0
+    means that no mean is subtracted."""
 
 
 class MethodASettings(Settings, frozen=True):
-    """Method A as a whole."""
+    """Settings of method A."""
 
     to_the_letter: bool = False
-    """True: as published. The last stop that passed the static test, with one threshold, gives the
-    tilt. The additions are off: average of stops, tilt without a stop, crown of the road, v r and
-    its limit, removed offset, weights by speed and by agreement, settling, shortest manoeuvre."""
+    """True: method A exactly as published. The last stop that passed the static test, with one
+    threshold, gives the tilt. The additions of imucald are switched off: average of stops, tilt
+    without a stop, crown of the road, speed times yaw rate and its limit, removed offset, weights
+    by speed and by agreement, settling, shortest manoeuvre."""
     level: bool = True
-    """True: gravity gives the tilt. False: the accelerometer counts as level (claims 1 to 5)."""
+    """True: the tilt is computed from gravity. False: the accelerometer is assumed to be level
+    (claims 1 to 5)."""
 
 
 class StateLimits(Settings, frozen=True):
-    """Limits of standard deviations for a state. A state ends at 1.4 times or twice its limit.
+    """Limits of standard deviations for a state. A state ends if a deviation exceeds 1.4 times its
+    limit (*usable* without a gyroscope: twice its limit).
 
     Each estimator has its own defaults.
     """
@@ -138,7 +149,7 @@ class StateLimits(Settings, frozen=True):
 
 
 class KnownMount(Settings, frozen=True):
-    """A mount that a person states; it is used from the first frame on."""
+    """A mount that a person states. The mount is used from the first frame on."""
 
     roll_deg: Angle
     pitch_deg: Annotated[float, Meta(ge=-90, le=90)]
@@ -146,7 +157,7 @@ class KnownMount(Settings, frozen=True):
     std_deg: PerAxis
     """Standard deviations about the vehicle's axes [deg]."""
     hold: bool = False
-    """True: nothing is learnt. The drive can only confirm or contradict the mount."""
+    """True: the mount is not changed. Driving can only confirm or contradict the mount."""
 
     roll = Radians("roll_deg")
     pitch = Radians("pitch_deg")
@@ -158,8 +169,9 @@ SensorAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 
 class OrientationSettings(Settings, frozen=True):
-    """Axes of the sensor that point roughly up and forward. They check the estimate, and do not
-    change it: within 60 degrees they confirm it, beyond 120 degrees it is a fault."""
+    """Axes of the sensor that point roughly up and forward. The estimate is compared with these
+    directions, but not changed by them. A difference of up to 60 degrees confirms the estimate; a
+    difference of more than 120 degrees is a fault."""
 
     up: SensorAxis | None = None
     forward: SensorAxis | None = None
@@ -169,23 +181,25 @@ class CalibrationSettings(Settings, frozen=True):
     """Settings of the mount estimators."""
 
     estimator: Literal["joint", "full", "published"] = "joint"
-    """Estimator: "joint" finds a matrix and a zero for each sensor; "published" is method A alone,
-    which is also used with neither a speed nor turns. "full" of earlier versions means "joint"."""
+    """Estimator: "joint" estimates a matrix and a zero error for each sensor; "published" is method
+    A alone. Method A is also used if there is neither a speed nor a turn rate. "full" (earlier
+    versions) means "joint"."""
     accelerometer_bias: Positive = 0.0981
     """Standard deviation of the accelerometer's zero error [m/s^2]. The default of 10 mg assumes a
-    sensor whose offset was set at the factory. Uncalibrated consumer parts have typically 20 to 50
-    mg (50 in x and y, 80 in z: MPU-6050, PS-MPU-6000A-00 rev. 3.4) and need 0.2 to 0.5."""
+    sensor whose offset was set at the factory. Uncalibrated consumer sensors have typically 20 to
+    50 mg (50 in x and y, 80 in z: MPU-6050, PS-MPU-6000A-00 rev. 3.4) and need values of 0.2 to
+    0.5."""
     accelerometer_range: Positive | None = None
-    """Full scale of the accelerometer [m/s^2]; nothing is learnt from values close to it."""
+    """Full scale of the accelerometer [m/s^2]. Values close to the full scale are not used."""
     cross_axis: Annotated[float, Meta(ge=0, le=0.05)] = 0.0
-    """Cross-axis error of the accelerometer (fraction). With 0, six sizes are weighed by the
-    data."""
+    """Cross-axis error of the accelerometer (fraction). With 0, six possible sizes are weighted
+    according to the data."""
     speed_delay: SpeedDelay | None = None
-    """Delay of the speed against the accelerometer [s]; estimated by default."""
+    """Delay of the speed relative to the accelerometer [s]; estimated by default."""
     mount: KnownMount | None = None
-    """A mount that is known already."""
+    """A mount that is already known."""
     orientation: OrientationSettings = OrientationSettings()
-    """Known rough directions of the sensor's axes."""
+    """Known approximate directions of the sensor's axes."""
     states: StateLimits = StateLimits()
     static: StaticTestSettings = StaticTestSettings()
     straight: StraightMotionSettings = StraightMotionSettings()

@@ -14,9 +14,11 @@ class DatabaseSettings(Settings, frozen=True):
 
     path: str
     channel: str | None = None
-    """Bus that the database describes, in a recording of several buses; default: every bus."""
+    """Name of the bus that the database describes, for a recording of several buses; default: all
+    buses."""
     j1939: bool | None = None
-    """True: 29-bit ids match by PGN, with any source address; default: as the database says."""
+    """True: 29-bit ids match by PGN, with any source address; default: as stated in the
+    database."""
 
 
 Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
@@ -27,9 +29,10 @@ class Counter(Settings, frozen=True):
 
     signal: str
     modulus: Annotated[int, Meta(ge=2, le=65536)] | None = None
-    """Number of values before the counter wraps; default: as many as its bits hold."""
+    """Number of values of the counter; default: all values that its bits can represent."""
     max_step: Annotated[int, Meta(ge=1, le=255)] | None = None
-    """Largest accepted step; default: the largest that fits the time since the last frame."""
+    """Largest accepted step; default: the largest step that is possible in the time since the last
+    frame."""
 
 
 class ChecksumSettings(Settings, frozen=True):
@@ -38,28 +41,29 @@ class ChecksumSettings(Settings, frozen=True):
     kind: str
     """Kind of the checksum: "none" or a kind of `can.e2e.checksums`."""
     signal: str | None = None
-    """Signal of the checksum; E2E profiles have fixed places."""
+    """Signal that contains the checksum. In E2E profiles, the position is fixed."""
     data_id: int | tuple[int, ...] | None = None
-    """E2E data id; profile 2: a list of sixteen."""
+    """E2E data id; for profile 2: a list of sixteen data ids."""
     data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
     id_bytes: Annotated[int, Meta(ge=0, le=4)] = 0
-    """XOR and CRCs: number of bytes of the CAN identifier that precede the data."""
+    """For XOR and CRCs: number of bytes of the CAN identifier at the start of the checksum's
+    input."""
     offset: Annotated[int, Meta(ge=0, le=63)] = 0
-    """E2E: first byte of the header in the frame."""
+    """For E2E: index of the first byte of the header in the frame."""
 
 
 class MessageProtection(Settings, frozen=True):
-    """Cycle and protection of a message."""
+    """Cycle time and protection of a message."""
 
     cycle_time: Positive | None = None
-    """Cycle [s]; default: GenMsgCycleTime of the database, else none."""
+    """Cycle time [s]; default: GenMsgCycleTime of the database, if stated."""
     timeout_cycles: Annotated[float, Meta(ge=1.5, le=1000)] = 10.0
     counter: Counter | None = None
     checksum: ChecksumSettings | None = None
     recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
-    """Good frames in a row after a fault before the message is used again."""
+    """Number of successive good frames after a fault until the message is used again."""
     source_address: SourceAddress | None = None
-    """J1939: only frames of this sender are used, for all sources that name no other sender."""
+    """J1939: only frames of this sender are used, for all sources that state no other sender."""
 
 
 class BusSettings(Settings, frozen=True):
@@ -70,7 +74,7 @@ class BusSettings(Settings, frozen=True):
     bitrate: Annotated[int, Meta(gt=0)] | None = None
     fd: bool = False
     options: dict[str, str | int | float | bool] = field(default_factory=dict)
-    """Further arguments of python-can's bus."""
+    """Additional arguments for the bus of python-can."""
 
 
 class OutputIds(Settings, frozen=True):
@@ -121,9 +125,9 @@ class SecurityAccess(Settings, frozen=True):
     """`module:function` that computes the key (bytes) of a seed (bytes). Without it no tester gets
     access."""
     attempts: Annotated[int, Meta(ge=1, le=10)] = 3
-    """Wrong keys before the delay."""
+    """Number of wrong keys until the delay begins."""
     delay: Positive = 10.0
-    """Time without access after these wrong keys [s]."""
+    """Time after the last of these wrong keys in which access is refused [s]."""
 
 
 class Uds(Settings, frozen=True):
@@ -136,7 +140,7 @@ class Uds(Settings, frozen=True):
     response_id: CanId = 0x7B8
     """Identifier of the responses of imucald."""
     functional_id: CanId | None = 0x7DF
-    """Identifier of requests to all nodes; null ignores these."""
+    """Identifier of requests to all nodes; with null, such requests are ignored."""
     security: SecurityAccess = SecurityAccess()
 
     def __post_init__(self) -> None:

@@ -1,4 +1,5 @@
-"""A complete configuration: read it, check it, and keep the place of each key in the file."""
+"""Read and check a complete configuration. The place of each key in the file is stored for error
+texts."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ class Config(Settings, frozen=True, kw_only=True):
     diagnostics: Uds = Uds()
 
     def __post_init__(self) -> None:
-        """Set defaults that depend on the value of another key."""
+        """Set the defaults of keys that depend on other keys."""
         calibration, attitude = self.calibration, self.attitude
         compensation, of_filter = attitude.compensation, attitude.filter
         if compensation.delay is None:
@@ -63,8 +64,8 @@ class Config(Settings, frozen=True, kw_only=True):
     def uses_method_a(self) -> bool:
         """True if method A alone finds the mount.
 
-        So it is as configured, and where neither a speed nor turns are known: then the joint
-        estimator cannot tell forward from backward.
+        This is the case if it is configured, or if there is neither a speed nor a turn rate.
+        Without both, the joint estimator cannot distinguish forward from backward.
         """
         signals = self.signals
         has_speed = signals.speed is not None or signals.wheel_speeds is not None
@@ -86,7 +87,8 @@ class LoadedConfig:
         self._document = Document(_name(path), marks, _WHOLE)
 
     def database_path(self, database: DatabaseSettings) -> Path:
-        """Return a database's absolute path. A relative path starts at the configuration file."""
+        """Return the absolute path of a database. A relative path starts at the folder of the
+        configuration file."""
         return self._resolved(database.path)
 
     @property

@@ -1,4 +1,4 @@
-"""Make the JSON schema of our YAML files. Each key is described by its docstring.
+"""Make the JSON schemas of imucald's YAML files. The docstring of each key is its description.
 
 The schema is draft 7, because the language servers of editors do not support later drafts. Only
 `imucald schema` and commands that write YAML files use this module.
@@ -27,7 +27,7 @@ def described_schema(
 ) -> dict[str, Any]:
     """Return the JSON schema of settings and their parts, with a description of each key.
 
-    choices: the allowed words of a key, by class name and key, if another package defines them.
+    choices: the allowed values of keys whose values another package defines, by class name and key.
     """
     _, parts = msgspec.json.schema_components([kind], ref_template=f"{REFERENCE}{{name}}")
     kinds = {found.__name__: found for found in _within(kind.__mro__[1])}

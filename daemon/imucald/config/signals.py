@@ -1,8 +1,8 @@
 """Settings that assign signals to quantities, and short forms of the configuration.
 
 A source may be written as text (``MESSAGE.SIGNAL``). A database or a model file may be written as
-its path. A single entry may replace a list. Other forms are not changed here; the check refuses
-them.
+its path. A single entry may replace a list. Other forms are not changed here; the check of the
+settings refuses them.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class RawSource(Settings, frozen=True, kw_only=True):
 
     id: CanId
     extended: bool = False
-    """True: the identifier has 29 bits. Larger ids always have 29 bits."""
+    """True: the identifier has 29 bits. Identifiers above 0x7FF always have 29 bits."""
     when: str | None = None
-    """Condition on data[i] and length; frames that do not meet it are ignored."""
+    """Condition with data[i] and length. Frames that do not meet the condition are ignored."""
     value: str
-    """Expression on data[i]."""
+    """Expression with data[i] for the value."""
 
     @property
     def is_extended(self) -> bool:
@@ -42,7 +42,7 @@ class RawSource(Settings, frozen=True, kw_only=True):
 
 
 class ValidWhen(Settings, frozen=True):
-    """Status signal of the same message: it shows whether the sensor's values are valid."""
+    """A status signal of the same message that shows whether the sensor's values are valid."""
 
     signal: str
     """Name of the status signal, without the message."""
@@ -61,31 +61,34 @@ class SourceSettings(Settings, frozen=True):
     signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
     """Signal in a database, as ``MESSAGE.SIGNAL``."""
     raw: RawSource | None = None
-    """Bytes of a frame and an expression, in place of `signal`."""
+    """An expression for the bytes of a frame, instead of `signal`."""
     sign_signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
     """Sign bit of a magnitude, as ``MESSAGE.SIGNAL``. 1 means negative."""
     source_address: SourceAddress | None = None
-    """J1939: only frames of this sender are used; default: that of the sensor or the message."""
+    """J1939: only frames of this sender are used; default: the sender stated for the sensor or the
+    message."""
     unit: str | None = None
     """Unit that replaces the unit in the database."""
     sign: Literal[-1, 1] = 1
     offset: float = 0.0
-    """Added to the physical value, in its unit, before the sign."""
+    """Number that is added to the physical value, in its unit, before the sign is applied."""
     channel: str | None = None
-    """Bus of the signal, in a recording of several buses; no effect on a live bus."""
+    """Name of the bus with the signal, for a recording of several buses. No effect on a live
+    bus."""
     range: tuple[float, float] | None = None
-    """Plausible physical values, in the source's unit, before offset and sign."""
+    """Smallest and largest plausible physical value, in the unit of the source, before offset and
+    sign are applied."""
     not_available: tuple[int, ...] = ()
     """Raw values that mean 'not available'."""
     value_table: bool = True
     """True: raw values with the name SNA, not available, invalid, error or init in the database's
     value table also mean 'not available'."""
     valid_when: ValidWhen | None = None
-    """The sensor's own status; values that this status marks invalid are rejected."""
+    """Status signal of the sensor. Values that the status signal marks as invalid are rejected."""
     equals: tuple[float, ...] | float | None = None
-    """On/off quantities: on when the physical value equals this value, or one of these values."""
+    """For on/off quantities: on if the physical value equals this value, or one of these values."""
     above: float | None = None
-    """On/off quantities: on when the physical value is larger."""
+    """For on/off quantities: on if the physical value is larger than this value."""
 
     def __post_init__(self) -> None:
         if (self.signal is None) == (self.raw is None):
@@ -115,13 +118,14 @@ Sources = Annotated[tuple[SourceSettings, ...], Meta(min_length=1)]
 
 
 class TriadSettings(Settings, frozen=True):
-    """Three axes of one sensor, as the sensor defines them; an accelerometer may lack z."""
+    """The three axes of one sensor, as the sensor defines them. An accelerometer may have no z
+    axis."""
 
     x: SourceSettings
     y: SourceSettings
     z: SourceSettings | None = None
     source_address: SourceAddress | None = None
-    """J1939: all axes come from this sender."""
+    """J1939: the frames of all axes are from this sender."""
 
     def __post_init__(self) -> None:
         axes = {"x": self.x, "y": self.y, "z": self.z}
@@ -145,9 +149,11 @@ class Wheels(Settings, frozen=True):
 
 
 class ParallelSensor(Settings, frozen=True):
-    """Another sensor with axes parallel to the accelerometer's; it gets the same correction.
+    """Another sensor whose axes are parallel to the accelerometer's axes. Its samples are corrected
+    with the same matrix.
 
-    A sensor without z must be level. It needs an accelerometer that counts as level.
+    A sensor without a z axis must be level, and requires an accelerometer that is configured as
+    level.
     """
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$(?!\n)")]
@@ -158,11 +164,11 @@ class ParallelSensor(Settings, frozen=True):
     """Identifier of the frame with the corrected values."""
     z: SourceSettings | None = None
     source_address: SourceAddress | None = None
-    """J1939: all axes come from this sender."""
+    """J1939: the frames of all axes are from this sender."""
 
 
 class Signals(Settings, frozen=True):
-    """Signals of the bus by quantity."""
+    """The signals of the bus, by quantity."""
 
     accelerometer: Triads
     gyroscope: Triads | None = None
@@ -195,7 +201,7 @@ SHORT_TEXTS: dict[str, dict[str, Any]] = {
 }
 """JSON schema of the text that may replace settings, by their class."""
 ONE_OF_LIST = frozenset({"SourceSettings", "DatabaseSettings", "TriadSettings"})
-"""Settings of which a single entry may replace a list."""
+"""Classes of settings for which a single entry may be written instead of a list."""
 _TRIADS = frozenset(row.key for row in QUANTITIES.values() if row.width == 3)
 _AXES = frozenset({"x", "y", "z"})
 

@@ -17,23 +17,26 @@ class ModelFile(Settings, frozen=True):
     path: str
     """Path of the model file, relative to the configuration file."""
     compensate_suspension: bool = True
-    """True: the body's squat, dive and roll are removed from the corrected signals."""
+    """True: the effects of squat, dive and roll of the body are removed from the corrected
+    signals."""
 
 
 class VehicleSettings(Settings, frozen=True):
     """Known properties of the vehicle."""
 
     id: Annotated[str, Meta(max_length=64)] = "vehicle"
-    """Identity of the vehicle; a saved state is used only for the same vehicle."""
+    """Identity of the vehicle. A saved state is used only for the vehicle with the same
+    identity."""
     driving_side: Literal["left", "right", "unknown"] = "unknown"
-    """Side of the road on which the vehicle drives. The crown leans it towards the kerb."""
+    """Side of the road on which the vehicle drives. The crown of the road leans the vehicle towards
+    the kerb."""
     crown_percent: Annotated[float, Meta(ge=0, le=5)] = 1.2
     """Mean cross slope of the roads, towards the kerb [%]."""
     crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
     """Spread of the mean cross slope from drive to drive [%]."""
     wheelbase: Annotated[float, Meta(ge=0.5, le=15)] = default_vehicle.WHEELBASE
-    """Wheelbase [m]. The wheelbase converts the steering angle into a yaw rate if there is no
-    other."""
+    """Wheelbase [m]. With the wheelbase, the yaw rate is computed from the steering angle if there
+    is no other signal for the yaw rate."""
     steering_ratio: Annotated[float, Meta(ge=1, le=100)] = default_vehicle.STEERING_RATIO
     """Ratio of steering-wheel angle to road-wheel angle."""
     track: Annotated[float, Meta(ge=0.5, le=5)] = default_vehicle.TRACK
@@ -49,6 +52,7 @@ class VehicleSettings(Settings, frozen=True):
 
     @property
     def crown_std(self) -> float:
-        """Spread of the roll from the crown [rad]. If the side is unknown, it includes the mean."""
+        """Spread of the roll from the crown [rad]. If the driving side is unknown, the spread
+        includes the mean roll."""
         spread = self.crown_spread
         return spread if self.kerb else math.hypot(self.crown_mean, spread)

@@ -1,7 +1,7 @@
-"""Find keys of the file that have no effect with the present settings, and give the reasons.
+"""Find keys of the file that have no effect with the present settings, and state the reasons.
 
-A key with a condition that can never be met is an error (`impossible`). A key that is only unused
-is a warning.
+A key with a condition that can never be met is an error (`impossible`). An unused key is only a
+warning.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from imucald.config.signals import Signals
 from imucald.core.typed import Place
 
 Rule = tuple[tuple[str, ...], bool, str]
-"""Key (parts of the dotted path), whether it has no effect, the reason."""
+"""A key (parts of the dotted path), whether the key has no effect, and the reason."""
 
 
 class Keys(Protocol):
@@ -76,7 +76,8 @@ LEANING = (
 
 
 def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
-    """Yield the places of keys that no sensor or sample can ever meet, with the requirement."""
+    """Yield the places of keys with a condition that no sensor or sample can meet, with the
+    requirement for the key."""
     calibration, signals = config.calibration, config.signals
     up, forward = calibration.orientation.up, calibration.orientation.forward
     if up is not None and forward is not None and up[-1] == forward[-1]:
@@ -105,7 +106,7 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
 
 
 def _is_level(config: Keys) -> bool:
-    """True if the accelerometer and its parallel sensors count as level."""
+    """True if the accelerometer and its parallel sensors are configured as level."""
     calibration = config.calibration
     published = config.uses_method_a
     planar = config.signals.accelerometer[0].z is None
@@ -185,14 +186,16 @@ LIMITS = {
     "steering": ("steering_limit_deg",),
     "consistency": ("consistency_window", "consistency_range_deg", "consistency_mean"),
 }
-"""Keys of `calibration.straight` that each recogniser reads."""
+"""For each recogniser (test for straight motion), the keys of `calibration.straight` that it
+reads."""
 
 
 def _recognisers(config: Keys) -> Iterator[Rule]:
-    """Rules for keys of recognisers that are not used.
+    """Yield rules for the keys of recognisers (tests for straight motion) that are not used.
 
-    A recogniser is not used if it is not named, if its signal is missing, or if an earlier one is
-    used. The limits of the yaw rate are also used to find turns, unless to_the_letter is set.
+    A recogniser is not used if it is not named, if its signal is missing, or if a preferred
+    recogniser is used. The limits of the yaw rate are also used to find turns, unless to_the_letter
+    is set.
     """
     straight, there = config.calibration.straight, _recognisers_there(config)
     deciding = [g for g in straight.groups if all(there[name] for name in g)][:1]

@@ -1,6 +1,8 @@
-"""Report what a configuration decodes from a log or a bus: sources, units, rates, gaps, doubts.
+"""Report the signals that a configuration decodes from a log or a bus: sources, units, rates, gaps,
+suspicious values.
 
-The frames pass through the daemon's own router, so the report shows what `imucald run` would do.
+The frames are decoded by the same router as in the daemon. The report therefore shows how `imucald
+run` would decode them.
 """
 
 from __future__ import annotations

@@ -29,25 +29,30 @@ from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MIN_BRAKING = 0.25
-"""Smallest standard deviation of the change of speed for a judgement [m/s^2]."""
+"""The response of the accelerometer is judged only if the standard deviation of dv/dt is at least
+this [m/s^2]."""
 AXIS_DEG = 20.0
-"""Largest plausible angle between a gyroscope's axis in turns and gravity [deg]. Body roll and
-cross-axis errors cause a few degrees."""
+"""Largest plausible angle between the vertical (from gravity) and the rotation axis that the
+gyroscope shows in turns [deg]. Body roll and cross-axis errors cause a few degrees."""
 HANDED = 0.7
-"""Triple product of the unit vectors forward, left and up above which the handedness is clear."""
+"""The handedness of the axes is clear if the size of the triple product of the unit vectors
+forward, left and up is above this."""
 NO_SPEED = 5.0
-"""Largest gain that can be a ratio of two units of speed; the largest ratio is 3.6."""
+"""A gain above this cannot come from a wrong unit of speed: the largest ratio of two units is
+3.6."""
 LEAST_ACROSS = 0.4
-"""Share of the centripetal acceleration that the accelerometer must show to find left."""
+"""The direction left is found only if the accelerometer shows at least this share of the
+centripetal acceleration."""
 MIN_REPORTED_DELAY = 2
 """Smallest speed delay that is reported [ticks]."""
 MIN_ACROSS = 0.15
-"""Smallest standard deviation of the force in turns [m/s^2]: twice the effect of the road."""
+"""Smallest standard deviation of the specific force in turns for a judgement [m/s^2]: twice the
+effect of road bumps."""
 LATEST = 2.5
-"""Largest delay of the speed at which its scale is judged [s]. Such a delay occurs if a receiver
-smooths, is asked once per second, and its answer waits."""
+"""Largest delay of the speed at which its scale is judged [s]. Such a delay occurs if a GNSS
+receiver smooths its speed, is polled once per second, and its answer waits."""
 _DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
-"""[ticks]"""
+"""Tried delays of the speed [ticks]."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +91,9 @@ def _response(accel: Array, change: Array, turn: Array, zero: Array, delay: int)
 
 
 def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None:
-    """Return the response with the delay that explains most; None if it is not clear.
-
-    `discovery.reference.response` is similar, for speeds in any unit before turns are known.
+    """Return the response for the delay of the speed that explains the motion best; None if the
+    response is not clear. `discovery.reference.response` does the same for a speed in an unknown
+    unit, before a signal for turns is known.
     """
     if motion.change is None or motion.accel is None or motion.speed is None:
         return None
@@ -101,12 +106,12 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
 
 
 def _shows_turns(rates: Mapping[str, Array]) -> str | None:
-    """Return the quantity from which turns are taken; None if no signal shows a turn."""
+    """Return the quantity that is used as yaw rate; None if no signal shows a turn."""
     return next((name for name, rate in rates.items() if spread(rate) > MIN_TURNING), None)
 
 
 def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
-    """Check the size and the delay of speed changes in the accelerometer.
+    """Check size and delay of the changes of speed against the accelerometer.
 
     If the speed is noisy or its delay changes, the regression on the speed gives too small a gain.
     The regression on the accelerometer gives too large a gain. The true gain is between both
@@ -165,7 +170,8 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
 def turn_gain_findings(
     motion: Motion, rates: Mapping[str, Array], unit_advice: Mapping[str, str]
 ) -> Iterator[Finding]:
-    """Compare speed times yaw rate with the lateral force, if only the gyroscope shows turns."""
+    """Compare speed times yaw rate with the lateral specific force. This check is for drives in
+    which only the gyroscope shows turns."""
     up = motion.up
     if list(rates) != ["gyroscope"] or up is None:
         return
@@ -200,7 +206,8 @@ def turn_gain_findings(
 
 
 def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:
-    """Check that the vertical moves in the gyroscope as in the accelerometer (`alternatives`)."""
+    """Check that gyroscope and accelerometer show the same changes of the vertical's direction
+    (`mount.alternatives`)."""
     if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
         return
     accel, rate = motion.accel, smooth(motion.grid["gyro"])
@@ -246,11 +253,13 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
 
 
 def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[Array]:
-    """Return the gyroscope's zero error (3,) [rad/s] for each tried order and signs of its axes.
+    """Return the gyroscope's zero error (3,) [rad/s] for each tried assignment (order and signs) of
+    its axes.
 
-    rate, moving: (n, 3), rates of the whole drive and of the judged part. At rest, the reading is
-    the zero error. In a drive without a stop, it is fitted for each alternative. The total rotation
-    about the horizontal axes is zero for any drive, so their mean rate is the zero error.
+    rate, moving: (n, 3), rates of the whole drive and of the judged part. The mean rate at rest is
+    the zero error. In a drive without a stop, the zero error is fitted for each assignment: the
+    total rotation about the horizontal axes is zero in any drive, so the mean rate about them is
+    the zero error.
     """
     if motion.standing is not None:
         n = min(len(rate), len(motion.standing))
@@ -260,10 +269,9 @@ def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[A
 
 
 def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
-    """Check that the rotation axis of the gyroscope in turns is the accelerometer's vertical.
-
-    This check uses all three rates and a signal that shows turns. `turning_axis` is different: it
-    uses the force in bends, which shows only which rate it follows.
+    """Check that the rotation axis that the gyroscope shows in turns is the vertical that the
+    accelerometer shows. This check uses all three rates and another signal that shows turns.
+    `turning_axis` uses the specific force in bends instead of such a signal.
     """
     names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > MIN_TURNING]
     if "gyro" not in motion.grid or not names:

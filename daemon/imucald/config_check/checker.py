@@ -50,8 +50,8 @@ from imucald.runtime.timebase import TimeBase
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
 """A filter that accepts every identifier, of 11 and 29 bits."""
 MAX_IDS = 20_000
-"""Largest number of identifiers that are counted separately. A vehicle has hundreds; a fuzzed bus
-may have any number."""
+"""Largest number of identifiers that are counted separately. A vehicle has hundreds of identifiers;
+a fuzzed bus may have any number."""
 FASTEST_BUS = 1e6
 """Bit rate of the fastest CAN bus [bit/s]."""
 MAX_TEXT = 80
@@ -64,7 +64,7 @@ _OUTPUTS = (
 class Check:
     """Receives frames, and makes a report at the end.
 
-    Raises ConfigError if the configuration cannot be used, as `run` does.
+    Raises the same ConfigError as `run` if the configuration cannot be used.
     """
 
     def __init__(self, loaded: LoadedConfig, silence: str = "the log holds no frame") -> None:
@@ -90,7 +90,7 @@ class Check:
         self._health = LogHealth(self.router.measured_axes, loaded.config)
 
     def feed(self, frames: FrameColumns) -> None:
-        """Add a chunk of frames of a log or a bus. It must include unwanted frames."""
+        """Add a chunk of frames of a log or a bus. The chunk must include unwanted frames."""
         for index in np.unique(frames.channel).tolist():
             here = frames.channel == index
             self._bits[frames.channels[index]] += least_bits(frames.take(here))
@@ -136,7 +136,8 @@ class Check:
         return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
 
     def _nothing(self) -> list[Finding]:
-        """If no configured frame came, return one error with a hint, and no warnings."""
+        """If no configured frame was received, return one error with a hint; else return an empty
+        list."""
         if not self.frames_read:
             bad = (
                 f"; some lines cannot be used: {counts_text(self.bad_lines)}"
@@ -209,7 +210,8 @@ class Check:
 
     @property
     def _is_reverse_derived(self) -> bool:
-        """True if the sign of the speed stands for a reverse signal."""
+        """True if no reverse signal is configured and the sign of the speed is used as the reverse
+        signal."""
         return self.loaded.config.signals.reverse is None and "reverse" in self.router.channels
 
     def report(self) -> dict[str, Any]:
@@ -258,7 +260,8 @@ class Check:
 
 
 def least_bits(frames: FrameColumns) -> int:
-    """Return the bits of frames without stuff bits (ISO 11898-1); of CAN FD only the slow part."""
+    """Return the number of bits of all frames without stuff bits (ISO 11898-1). For CAN FD, only
+    the bits at the lower bit rate count."""
     extended = int(np.count_nonzero(frames.can_id & CAN_EFF_FLAG))
     payload = np.where(frames.length > CLASSIC_BYTES, 0, frames.length)
     if frames.fd is not None:

@@ -24,14 +24,16 @@ CYCLE_TOLERANCE = 1.5
 MIN_REJECTED_SHARE = 0.01
 """Smallest share of rejected frames or values that is reported."""
 MIN_EQUAL_VALUES = 100
-"""A sensor looks stuck if it gives this number of values and all are equal."""
+"""A sensor counts as stuck if it has sent at least this number of values and all values are
+equal."""
 
 SLOWEST = {"accel": ACCEL_GAP, "gyro": ACCEL_GAP, "speed": SPEED_GAP}
-"""Longest time between two samples that the calibration bridges [s]."""
+"""Longest time between two samples for which the calibration interpolates [s], by channel."""
 
 SELDOM_SPEED = 1.5
-"""Longest useful cycle of the speed [s]. A slower speed hides motions shorter than 3 s, such as
-most starts and brakings. In simulated drives with 0.5 Hz, a mount took twice as long."""
+"""Longest useful cycle of the speed [s]. A speed with a longer cycle does not show motions shorter
+than 3 s, such as most starts and brakings. In simulated drives with a speed at 0.5 Hz, the
+calibration took twice as long."""
 
 _NO_SPEED = "missing: yaw is found later and is less certain; "
 _NO_GYRO = "turns then do not help to find pitch and roll, and no corrected angular rate is sent"
@@ -78,8 +80,8 @@ BURST_S = 0.5
 
 @dataclass(frozen=True)
 class Decoding:
-    """The data for the findings: ids seen (channel, id with flag), samples by channel, duration
-    [s], clock steps, bad lines by reason."""
+    """Makes findings from the data of a log: received ids (channel, id with flag), samples by
+    channel, duration [s], clock steps, bad lines by reason."""
 
     loaded: LoadedConfig
     probes: list[Probe]
@@ -91,7 +93,7 @@ class Decoding:
     bad_lines: Counter[str]
     output_ids: frozenset[int]
     least_duration: float = 0.0
-    """Time that all these frames need on the fastest bus [s]."""
+    """Time that all frames of the log need on the fastest bus [s]."""
     paces: Mapping[str, float] = field(default_factory=dict)
     """Usual time between two ticks with samples, by channel [s]."""
     announced: Mapping[tuple[str, int], int] = field(default_factory=dict)
@@ -99,7 +101,8 @@ class Decoding:
     drives: bool = False
     """True if the vehicle drives for at least a minute. In this time, every sensor axis changes."""
     is_reverse_derived: bool = False
-    """True if the sign of the speed stands for a reverse signal."""
+    """True if no reverse signal is configured and the sign of the speed is used as the reverse
+    signal."""
 
     def findings(self) -> Iterator[Finding]:
         """Yield all findings, in no particular order."""
@@ -117,7 +120,8 @@ class Decoding:
         return self.samples.get(channel, 0) > 0
 
     def _silent(self) -> Iterator[Finding]:
-        """Find messages that did not come, and messages of which all frames were rejected."""
+        """Find configured messages that were not received, and messages whose frames were all
+        rejected."""
         for probe in self.probes:
             names = dict.fromkeys(configured_name(tap.channel) for tap in probe.taps)
             quantity = ", ".join(names) or "sign_signal"
@@ -137,7 +141,8 @@ class Decoding:
                 yield Finding("warning", quantity, text + _remedy(probe.rejected))
 
     def _elsewhere(self, match: IdMatch) -> str:
-        """Return a hint if the frame came on another channel or with another kind of id."""
+        """Return a hint if frames with the same id number were received on another channel or with
+        the other id length (11 or 29 bits)."""
         channels = [c for c, can_id in self.ids if not (can_id ^ match.can_id) & match.full_mask]
         if channels:
             return (
@@ -152,7 +157,8 @@ class Decoding:
         return ""
 
     def _of_its_pgn(self, probe: Probe) -> str:
-        """Return a hint if the PGN comes from another address or in transport frames."""
+        """Return a hint if the message's PGN was received from another address or in transport
+        frames."""
         if not isinstance(probe.route, MessageRoute) or not probe.match.can_id & CAN_EFF_FLAG:
             return ""
         match = id_match(probe.route.plan.message, True, probe.match.channel)
@@ -176,7 +182,8 @@ class Decoding:
                 yield Finding("warning", probe.name, cut_frames(probe.name, probe.shortest, size))
 
     def _several_senders(self) -> Iterator[Finding]:
-        """Find J1939 messages that come from several addresses, if none is configured."""
+        """Find J1939 messages that were received from several addresses although no source address
+        is configured."""
         for probe in self.probes:
             match = probe.match
             if not match.can_id & CAN_EFF_FLAG or match.mask & J1939_ADDRESS_MASK:
@@ -245,7 +252,7 @@ class Decoding:
             yield Finding("note", "", text)
 
     def _too_slow(self) -> Iterator[Finding]:
-        """Find channels that are too slow, so the calibration cannot bridge the gap of samples."""
+        """Find channels whose samples are too far apart for the calibration to interpolate."""
         for channel, longest in SLOWEST.items():
             found = [probe.cycle_of(channel) for probe in self.probes]
             cycles = [cycle for cycle in found if cycle is not None]
@@ -266,7 +273,7 @@ class Decoding:
                 yield Finding("note", configured_name(channel), text)
 
     def _nothing_left(self) -> Iterator[Finding]:
-        """Report an accelerometer with samples of which the calibration can use none."""
+        """Report an accelerometer whose samples the calibration cannot use at all."""
         left = self.samples.get("accel", 0)
         if left > 1 and self.duration == 0.0:
             text = "all frames have the same time stamp; record with: candump -l can0"
@@ -352,7 +359,8 @@ class Decoding:
 
 
 def _remedy(reasons: Counter[str]) -> str:
-    """Return a hint for the most frequent reason. "untrusted" is ignored: it follows the others."""
+    """Return a hint for the most frequent reason. The reason "untrusted" is ignored, because it is
+    a consequence of other reasons."""
     causes = [reason for reason, _ in reasons.most_common() if reason != "untrusted"]
     kind = causes[0] if causes else ""
     general = _REMEDIES["counter"] if kind.startswith("counter") else ""

@@ -15,13 +15,14 @@ from imucald.core.samples import GRAVITY
 Level = Literal["error", "warning", "note", "ok"]
 
 MIN_TICKS = 200
-"""Smallest number of ticks in motion for a judgement: 20 s."""
+"""Smallest number of ticks in motion for a finding about motion: 20 s."""
 ODD_GAIN = 1.4
 """A gain above this (or below its inverse) is suspicious. Measured and simulated vehicles have
-gains of 0.8 to 1.2. Confusing miles and kilometres multiplies them by 0.6 or 1.6."""
+gains of 0.8 to 1.2. A confusion of miles and kilometres multiplies the gain by 0.6 or 1.6."""
 
 TURN_SIGN = "set 'sign: -1', or remove 'sign: -1' if it is set"
-"""The remedy for a wrong sign. If a sign is configured, that sign is the mistake."""
+"""Text with the remedy for a wrong sign. If `sign: -1` is configured, this setting is the
+mistake."""
 
 _FACTORS = (
     (DEG_PER_RAD, "deg against rad"),
@@ -35,7 +36,8 @@ _FACTORS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding. `quantity`: name in the configuration. beside: quantities compared with it."""
+    """One finding. `quantity`: name in the configuration. beside: the other quantities with which
+    it was compared."""
 
     level: Level
     quantity: str
@@ -53,7 +55,8 @@ def is_beyond(gain: float, limit: float) -> bool:
 
 
 def gain_guess(ratio: float, unit_advice: str | None) -> str:
-    """Return a text for a gain that should be 1; unit_advice: advice if a unit is stated."""
+    """Return a text with the likely cause of a gain that should be 1. unit_advice: advice for a
+    quantity with a stated unit."""
     size, unit_advice = abs(ratio), unit_advice or "set 'unit:'"
     words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
     for factor, guess in _FACTORS:

@@ -32,7 +32,7 @@ _WORDS = {
 
 
 class _SignalsOnly:
-    """Replaces an estimator: it reports which signals are stuck, but estimates no mount."""
+    """Replaces an estimator in this check: it only finds stuck signals and estimates no mount."""
 
     correction, state = None, MountState.WAITING
 
@@ -94,7 +94,8 @@ class LogHealth:
 
 
 def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
-    """Yield one finding per sensor, fault and axes, with the first time and the number."""
+    """Yield one finding per sensor, fault and axes, with the time of the first fault and the number
+    of faults."""
     found: dict[tuple[str, SignalFault, str], list[float]] = {}
     for event in events:
         found.setdefault((event.channel, event.fault, event.axes), []).append(event.since)
@@ -112,8 +113,7 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
 
 def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
     """Report a speed that jumps in most of a log. Such a signal is not the speed of one vehicle.
-
-    duration: of the log [s].
+    duration: duration of the log [s].
     """
     for one in left_out:
         if one["cause"] == SignalFault.SPEED_JUMP and one["seconds"] > MOST_SHARE * duration:
@@ -126,7 +126,7 @@ def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> I
 
 
 def left_out_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
-    """Report the data that the calibration ignores; duration: of the log [s]."""
+    """Report the data that the calibration ignores. duration: duration of the log [s]."""
     if words := left_out_words({"not_learnt_from": left_out}):
         yield Finding(
             "note", "log", f"the log has {duration:.0f} s; the calibration does not use: {words}"

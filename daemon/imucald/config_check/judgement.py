@@ -1,8 +1,9 @@
 """Find suspicious units, signs and axes in the signals of a drive, for `imucald check`.
 
-Each judgement needs enough motion and a clear correlation. Otherwise it reports nothing. Thresholds
-are wide: squat, superelevation and offsets change a gain by a third, a wrong unit by more than 2.5.
-Confusing miles and kilometres changes it less, so the threshold for the speed is narrower.
+A check gives a finding only if there is enough motion and a clear correlation. The thresholds are
+wide: squat, superelevation and offsets change a gain by up to a third, but a wrong unit changes it
+by a factor of more than 2.5. A confusion of miles and kilometres changes the gain by less, so the
+threshold for the speed is narrower.
 """
 
 from __future__ import annotations
@@ -49,23 +50,26 @@ REST_WRONG, REST_ODD = 0.25, 0.03
 """Relative errors of gravity at rest: above REST_WRONG the unit is wrong, above REST_ODD a note is
 reported."""
 PLANAR_REST = 1.5
-"""Largest reading of a level accelerometer at rest [m/s^2], from slope and offset."""
+"""Largest reading of a level accelerometer (two axes) at rest [m/s^2], caused by slope and
+offset."""
 GYRO_REST = math.radians(5.0)
 """Largest plausible gyro offset at rest [rad/s]."""
 REVERSE_SPEED = 7.0
 """Largest speed in reverse for a longer time [m/s]."""
 REVERSE_SHARE = 0.1
-"""Largest share of the time above that speed with reverse on. A moved lever passes reverse."""
+"""Largest plausible share of the time above `REVERSE_SPEED` in which the reverse signal is on. It
+is on for a moment when the lever passes reverse."""
 WHEELS_DIFFER = 0.1
-"""Largest relative difference of the speed and the wheel speeds. Worn and wrong tyres cause 5 %;
-displays show up to 10 % more (UN R39)."""
+"""Largest plausible relative difference between the speed and the wheel speeds. Worn and wrong
+tyres cause 5 %; displayed speeds are up to 10 % too high (UN R39)."""
 TURNING = 0.05
 """Smallest yaw rate of a turn [rad/s]: a bend with a radius of 200 m at 10 m/s."""
 ONE_SIDED_TURNS = 5
-"""Number of turns from which turns to one side only are suspicious. By chance, this occurs in one
-of 16 drives, but then the noise about zero has both signs."""
+"""A signal with at least this number of turns, all to the same side, is suspicious. By chance, five
+turns are to the same side in one of 16 drives, but then the noise about zero has both signs."""
 TWICE_SLOPES = 2.0 * SLOPE_STD
-"""Steeper roads are rare (tangent, rms). A larger force along the road comes from driving."""
+"""Twice the rms slope of roads (tangent). Steeper roads are rare, so a larger specific force along
+the road is caused by changes of speed."""
 
 _WHEELS = ("wheel_speeds",)
 
@@ -92,12 +96,12 @@ def judge(
     """Yield all findings that the motion shows about units, signs and axes.
 
     A wrong scale of accelerometer or speed, or a single wrong sign, is reported once and then
-    corrected. Therefore it is not reported again for every signal that is compared with them.
-    stated: the orientation of the sensor that the user states. unit_advice: advice for quantities
-    with a stated unit (see `unit_advice`). turned: by quantity, whether the configuration reverses
-    the signs of all its axes. never_negative: by quantity that was never negative, the signals that
-    may hold its sign. signs_of_speed: the keys that set the sign of the speed, if this sign stands
-    for a reverse signal; else "".
+    corrected. Therefore the same fault is not reported again for every signal that is compared with
+    the wrong signal. stated: the orientation of the sensor that the user states. unit_advice:
+    advice for quantities with a stated unit (see `unit_advice`). turned: for each quantity, whether
+    the configuration reverses the signs of all its axes. never_negative: for each quantity that was
+    never negative, the signals that may contain its sign. signs_of_speed: the keys that set the
+    sign of the speed, if this sign is used as the reverse signal; else "".
     """
     if (move := sensor_move(motion)) is not None:
         text = f"{move.words}. Check a log without the move: this log contains two mounts"
@@ -162,7 +166,7 @@ def _signs_and_axes(
 
 
 def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -> Iterator[Finding]:
-    """Find signals that show turns, but only to one side."""
+    """Find signals that show turns to only one side."""
     for name, bits in never_negative.items():
         rate = rates.get(name)
         if rate is None:
@@ -215,7 +219,8 @@ def _stated_axis(
     """Check whether the axis that the user states for a direction agrees with the data.
 
     direction: "up" or "forward". found: the direction in the data, unit vector (3,) in sensor axes.
-    opposite: the name of the opposite direction. remedy: text for an axis that points there.
+    opposite: the name of the opposite direction. remedy: text for an axis that points in the
+    opposite direction.
     """
     if stated is None:
         return
@@ -258,10 +263,8 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
 
 
 def _is_driven_both_ways(motion: Motion) -> bool:
-    """True if the force varies along two horizontal directions by more than slopes cause.
-
-    Bends change the force along one direction. Only a change of speed or a slope changes it along
-    the other.
+    """True if the specific force varies in both horizontal directions by more than slopes cause.
+    Bends change only the lateral force. The longitudinal force changes only with speed and slope.
     """
     if motion.accel is None or motion.up is None:
         return False
@@ -274,8 +277,8 @@ def _is_driven_both_ways(motion: Motion) -> bool:
 
 
 def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
-    """Compare speed and wheel speeds. Speed and wheel speeds agree within a few per cent unless a
-    unit is wrong."""
+    """Compare the speed with the wheel speeds. They agree within a few per cent unless a unit is
+    wrong."""
     if motion.speed is None or "wheel_speeds" not in motion.grid:
         return
     wheels = np.abs(smooth(motion.grid["wheel_speeds"])).mean(axis=1)
@@ -361,12 +364,12 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
 
 
 def _lacks_gravity(accel: Array, size: float) -> bool:
-    """True if readings (n, 3) usually change by more than the size of their mean. No unit makes
-    such readings possible for a vehicle.
+    """True if readings (n, 3) usually differ from their mean by more than `size`, the size of the
+    mean. A vehicle cannot have such readings in any unit.
 
-    A wrong unit changes mean and variation by the same factor. Therefore the vehicle would have an
-    average acceleration of 1 g or more. "Usually" means the median: half of the changes are within
-    0.67 deviations (normal distribution), and single spikes do not count.
+    A wrong unit changes mean and variation by the same factor. Therefore the vehicle would
+    accelerate with 1 g or more on average. "Usually" means the median: half of the changes are
+    within 0.67 deviations (normal distribution), and single spikes do not count.
     """
     known = accel[np.isfinite(accel).all(axis=1)]
     if len(known) < MIN_TICKS:
@@ -376,7 +379,7 @@ def _lacks_gravity(accel: Array, size: float) -> bool:
 
 
 def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
-    """Check the signals that must follow the change of speed."""
+    """Check the signals that must agree with the change of speed."""
     if motion.change is None or spread(motion.change) < MIN_BRAKING:
         return
     signals = {}

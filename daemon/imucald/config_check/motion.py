@@ -1,4 +1,5 @@
-"""Put samples on a common grid, and derive the vehicle's motion, for `imucald check`."""
+"""Compute means of samples on a common time grid, and the vehicle's motion from them, for `imucald
+check`."""
 
 from __future__ import annotations
 
@@ -14,17 +15,19 @@ from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 MAX_TICKS = 72_000
-"""Largest number of ticks (two hours). This number is enough to judge a sign, and bounds the
-memory."""
+"""Largest number of ticks (two hours). The limit bounds the memory; two hours are enough to find a
+wrong sign."""
 MAX_HOLE = 25
-"""Longest gap that is bridged [ticks]. A speed over OBD-II comes once per second."""
+"""Longest gap between samples that is interpolated [ticks]. A speed over OBD-II has one sample per
+second."""
 SMOOTH = 11
 """Length of the moving mean [ticks], 1.1 s. The mean reduces the effect of delays and road
 bumps."""
 DRIVEN_TICKS = 600
-"""Driving time in which every signal of a vehicle changes [ticks]: a minute."""
+"""Driving time after which every correct signal of a vehicle has changed [ticks]: a minute."""
 MIN_STANDING_TICKS = 20
-"""Smallest standing time that is used (after smoothing) [ticks]: two seconds."""
+"""Smallest standing time that is used to measure zero errors (after smoothing) [ticks]: two
+seconds."""
 
 
 class TickMeans:
@@ -64,7 +67,8 @@ class TickMeans:
         return {name: float(np.median(g)) / TICK_RATE for name, g in gaps.items() if len(g)}
 
     def grid(self) -> dict[str, Array]:
-        """Return means (n,) or (n, width) by channel. Gaps are bridged; unknown values are NaN."""
+        """Return the means (n,) or (n, width) in all ticks, by channel. Values in short gaps are
+        interpolated; other unknown values are NaN."""
         last = [np.flatnonzero(counts) for counts in self._counts.values()]
         n = max((int(rows[-1]) + 1 for rows in last if len(rows)), default=0)
         grid = {}
@@ -79,7 +83,8 @@ class TickMeans:
 
 
 def bridged(n: int, rows: NDArray[np.intp], values: Array) -> Array:
-    """Return values (n,) that are known at `rows`. Short gaps are interpolated, others are NaN."""
+    """Return values (n,) from `values`, which are known at `rows`. Values in short gaps are
+    interpolated; values in long gaps are NaN."""
     here = np.arange(n)
     result = np.interp(here, rows, values)
     after = np.searchsorted(rows, here)
@@ -104,10 +109,11 @@ def smooth(x: Array) -> Array:
 
 
 class Motion:
-    """The vehicle's motion, from the grid. A part is None if its signals are missing.
+    """The vehicle's motion, computed from the time grid. An attribute is None if its signals are
+    missing.
 
-    All arrays are smoothed. Speed (n,) [m/s] (negative in reverse), change of speed (n,) [m/s^2],
-    accel (n, 3) [m/s^2], up (3,) unit vector in sensor axes.
+    All arrays are smoothed. speed: (n,) [m/s], negative in reverse. change: (n,) derivative of the
+    speed [m/s^2]. accel: (n, 3) [m/s^2]. up: (3,) unit vector in sensor axes.
     """
 
     def __init__(self, grid: Mapping[str, Array], planar: bool) -> None:
@@ -147,10 +153,9 @@ class Motion:
 
     @property
     def turn_zero(self) -> Array:
-        """Effect of a gyroscope's zero error on speed times rate, as fit columns (n, k).
-
-        If the vehicle rests, the zero error is measured and k is 0. Otherwise the speed is the
-        column.
+        """Columns (n, k) of a fit for the effect of the gyroscope's zero error on speed times turn
+        rate. If the drive has a standstill, the zero error is measured there and k is 0. Otherwise
+        the only column is the speed.
         """
         if self.speed is None:
             return np.zeros((0, 0))
@@ -168,7 +173,7 @@ class Motion:
         return np.where(np.nan_to_num(self.grid.get("reverse", np.zeros(1))) > 0.5, -1.0, 1.0)
 
     def _standing(self) -> NDArray[np.bool_] | None:
-        """Which ticks are at rest (n,); None if too few."""
+        """Mask (n,) of the ticks at rest; None if there are too few."""
         if self.speed is None:
             return None
         calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
@@ -190,7 +195,7 @@ class Motion:
     def turn_rates(self, vehicle: VehicleSettings) -> dict[str, Array]:
         """Return each measurement of the yaw rate (n,) [rad/s], positive to the left, by quantity.
 
-        For the gyroscope, it is the rate about the vertical minus its mean at rest.
+        For the gyroscope, the yaw rate is the rate about the vertical minus its mean at rest.
         """
         found: dict[str, Array] = {}
         grid = self.grid
@@ -233,7 +238,8 @@ def less(x: Array, known: Array) -> Array:
 
 
 def shifted(x: Array, ticks: int) -> Array:
-    """Return an array whose row k is row k + ticks of x; NaN beyond the ends."""
+    """Return x shifted by a number of ticks: row k of the result is row k + ticks of x, or NaN if x
+    has no such row."""
     result = np.full_like(x, np.nan)
     if abs(ticks) >= len(x):
         return result
@@ -245,6 +251,7 @@ def shifted(x: Array, ticks: int) -> Array:
 
 
 def change_of(speed: Array) -> Array:
-    """Return the derivative of a smoothed speed (n,), over the length of its window."""
+    """Return the derivative of a smoothed speed (n,), from differences over the length of the
+    smoothing window."""
     half = SMOOTH // 2
     return (shifted(speed, half) - shifted(speed, -half)) * (TICK_RATE / (2 * half))

@@ -1,7 +1,7 @@
 """Find a sensor that was moved within a recording, from the direction of gravity.
 
-All comparisons of `check` and `init` assume one mount. If the sensor is turned in the recording,
-signals that are right contradict each other, and the mean of gravity is too short.
+All comparisons of `check` and `init` assume one mount. If the sensor is turned during the
+recording, correct signals contradict each other, and the mean of the gravity vectors is too short.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ from imucald.core.text import clock
 from imucald.motion.ticks import TICK_RATE
 
 MOVED_DEG = 15.0
-"""Smallest reported angle between gravity before and after. Stops on opposite slopes of 12 % differ
-by 14 deg; steeper streets are rare."""
+"""Smallest reported angle between gravity before and after a move [deg]. At stops on opposite
+slopes of 12 %, gravity differs by 14 deg; steeper streets are rare."""
 ONE_MOVE = 0.75
-"""Smallest share of the changes of gravity that the move explains. A loose sensor moves all the
-time, and no single move explains that."""
+"""A move is reported only if it explains at least this share of the changes of gravity. A single
+move does not explain the changes of a loose sensor, which moves all the time."""
 LEAST_GRAVITY = 0.75
-"""Smallest size of gravity relative to the usual force. Turns and braking add little."""
+"""Smallest accepted size of the mean gravity vector, relative to the usual size of the specific
+force. Turns and braking change this size little."""
 PART_TICKS = 300
 """Length of the parts of a drive without stops that are compared [ticks]: half a minute."""
 
 
 @dataclass(frozen=True)
 class SensorMove:
-    """deg: angle by which gravity turned in the sensor. before, after: it happened between [s]."""
+    """A move of the sensor. deg: angle between gravity before and after the move, in sensor axes.
+    before, after: the move happened between these times [s]."""
 
     deg: float
     before: float
@@ -39,7 +41,7 @@ class SensorMove:
 
     @property
     def words(self) -> str:
-        """What happened and when."""
+        """Text that states the angle and the time of the move."""
         when = f"between {clock(self.before)} and {clock(self.after)}"
         return f"the sensor was moved {when}: gravity in its axes turns by {self.deg:.0f} deg"
 
@@ -73,12 +75,12 @@ def _parts(first: int, stop: int) -> list[tuple[int, int]]:
 
 
 def _split(force: Array, parts: Sequence[tuple[int, int]]) -> tuple[float, int, int, float] | None:
-    """Return the angle [deg] of gravity between the parts before and after the best split, the end
-    of the last part before it, the beginning of the first part after it, and the smaller size of
-    gravity.
+    """Find the best split of the parts in two groups. Return the angle [deg] between the gravity
+    vectors of both groups, the end of the first group, the beginning of the second group, and the
+    smaller size of the two vectors.
 
-    force: (n, 3). The best split leaves the least squared distance from the two means. None if no
-    split explains the changes.
+    force: (n, 3). The best split has the smallest sum of squared distances from the two means.
+    Returns None if no split explains the changes.
     """
     known = [(a, b, _mean(force[a:b])) for a, b in parts]
     known = [row for row in known if np.isfinite(row[2]).all()]

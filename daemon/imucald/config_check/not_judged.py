@@ -1,4 +1,5 @@
-"""Report configured quantities of which only the range could be checked, for `imucald check`."""
+"""Report configured quantities for which only the range of values could be checked, for `imucald
+check`."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ _FLAG = SI_UNITS["flag"]
 
 
 def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iterator[Finding]:
-    """Yield one note for all received quantities that no finding is about or compares with."""
+    """Yield one note that names all received quantities that occur in no finding."""
     judged = {name.partition(".")[0] for f in found for name in (f.quantity, *f.beside)}
     left: dict[str, str] = {}
     for row in rows:

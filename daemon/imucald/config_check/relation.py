@@ -1,9 +1,10 @@
-"""Measure whether two signals show the same motion, and how certain that is (`check`, `init`).
+"""Measure whether two signals show the same motion, and how certain this result is (for `check` and
+`init`).
 
 Neighbouring values of a smoothed signal are not independent. Therefore each comparison uses the
 number of independent values (Bartlett's formula, summed up to the first negative product of the
-autocorrelations, after Geyer 1992). A relation is accepted if noise would give it in at most one of
-a thousand recordings. This counts all comparisons of a search together (Bonferroni).
+autocorrelations, after Geyer 1992). A relation is accepted if noise would cause it in at most one
+of a thousand recordings. This probability is for all comparisons of a search together (Bonferroni).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from imucald.mount.contradictions import LIKE
 FALSE_ALARM = 1e-3
 """Share of recordings in which a search may find a relation by chance."""
 MANY = 1000
-"""Assumed number of comparisons in a search through all signals of a bus, if not counted."""
+"""Assumed number of comparisons in a search through all signals of a bus, if the comparisons are
+not counted."""
 BELIEVED_NATS = math.log(1e3)
 """Log likelihood ratio above which one hypothesis is preferred to another."""
 MIN_VALUES = 50
@@ -31,10 +33,10 @@ MIN_VALUES = 50
 class Relation:
     """The relation of a signal to a reference.
 
-    correlation: with sign. independent: number of independent values. low, high: limits of the
-    gain (signal divided by reference). Both are least-squares gains of the signal on the
-    reference and of the reference on the signal; with noise, the truth is between them. error:
-    relative standard error.
+    correlation: with sign. independent: number of independent values. low, high: limits of the gain
+    (signal divided by reference). One limit is the gain of a least-squares fit of the signal with
+    the reference, the other limit is the gain of the reverse fit. With noise, the true gain is
+    between both. error: relative standard error of the gain.
     """
 
     correlation: float = 0.0
@@ -53,36 +55,41 @@ class Relation:
 
     @property
     def is_believed(self) -> bool:
-        """True if the two are certainly related, if selected among all signals of a bus."""
+        """True if both signals are certainly related, even if the pair is the best of all signals
+        of a bus."""
         return self.is_believed_of(MANY)
 
     def is_believed_of(self, comparisons: int) -> bool:
-        """True if the two are certainly related, if they are the best of `comparisons` pairs."""
+        """True if both signals are certainly related, even if the pair is the best of `comparisons`
+        pairs."""
         return self.z >= believed_z(comparisons)
 
     @property
     def is_same_motion(self) -> bool:
-        """True if most of the motion in both is certainly the same (the daemon's criterion)."""
+        """True if most of the motion in both signals is certainly the same. The daemon uses the
+        same criterion."""
         return abs(self.correlation) >= LIKE and self.is_believed_of(1)
 
     @property
     def gain(self) -> float:
-        """Gain (signal divided by reference): the ratio of their standard deviations."""
+        """Gain: standard deviation of the signal divided by the standard deviation of the
+        reference."""
         return math.sqrt(self.low * self.high)
 
     @property
     def sign(self) -> int:
-        """1 or -1."""
+        """Sign of the correlation: 1 or -1."""
         return -1 if self.correlation < 0.0 else 1
 
     @property
     def explained(self) -> float:
-        """Share of the variance that both have in common."""
+        """Share of the variance that both signals have in common."""
         return self.correlation * self.correlation
 
 
 def believed_z(comparisons: int) -> float:
-    """Smallest Fisher's z [standard deviations] at which one of `comparisons` is accepted."""
+    """Smallest Fisher's z [standard deviations] at which a relation is accepted as the best of
+    `comparisons` relations."""
     return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(comparisons, 1))
 
 
@@ -114,7 +121,8 @@ def relation(reference: Array, signal: Array) -> Relation:
 
 
 def _independent(a: Array, b: Array, n: int) -> float:
-    """Number of independent values of two centred signals with zeros in gaps."""
+    """Return the number of independent values of two signals. Both signals have mean zero and are
+    zero in gaps."""
     size = 1 << (2 * len(a) - 1).bit_length()
     shapes = []
     for x in (a, b):

@@ -1,8 +1,9 @@
-"""Name the one wrong sign or exchange of axes that explains all contradictions of the signals.
+"""Find the single wrong sign or the single exchange of axes that explains all contradictions
+between signals.
 
-One wrong sign contradicts several other signals, so it gives several findings, and some of them
-accuse signals that are right. Therefore each possible single fault is undone in turn, and all
-signals are compared again. If no contradiction is left, this fault explains all of them.
+A signal with a wrong sign contradicts several other signals. It therefore causes several findings,
+and some of them blame correct signals. Therefore each possible single fault is undone in turn, and
+all signals are compared again. If no contradiction is left, this fault explains all of them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from imucald.core.arrays import Array
 from imucald.mount.mirror import AT_REST
 
 MOST_NAMED = 3
-"""Largest number of possible faults that are named. More of them help nobody."""
+"""Largest number of possible faults that are named. A longer list would not help the user."""
 _SIDED = {
     "yaw_rate": "yaw_rate",
     "steering_wheel_angle": "steering",
@@ -31,7 +32,8 @@ _OTHER_SIDE = np.eye(4)[[1, 0, 3, 2]]
 
 @dataclass(frozen=True)
 class SingleFault:
-    """One possible fault. matrix: (w, w), what undoes it in the channel. remedy: what to change."""
+    """One possible fault. matrix: (w, w), multiplying the channel's axes by this matrix removes the
+    fault. remedy: text that states the necessary change."""
 
     quantity: str
     text: str
@@ -45,10 +47,11 @@ def explained(
 ) -> tuple[list[Finding], Motion]:
     """Replace the errors by the single faults that explain all of them.
 
-    judge: yields the findings about a motion with one fault undone. Of the faults that leave no
-    error, those count after which most pairs of signals agree, and more than before. If there is
-    none, or there are too many, the errors stay as they are. Returns the findings, and the motion
-    without the fault if it is only one.
+    judge: yields the findings about a motion with one fault removed. A fault is named if its
+    removal leaves no error, and if no other fault leaves more pairs of agreeing signals. The number
+    of agreeing pairs must also be larger than before the removal. If there is no such fault, or
+    there are too many, the errors are not replaced. Returns the findings, and the motion. If there
+    is exactly one such fault, it is removed from the returned motion.
     """
     if all(finding.level != "error" for finding in found):
         return list(found), motion

@@ -26,7 +26,7 @@ def configured_name(channel: str) -> str:
 
 @dataclass(frozen=True)
 class QuantitySource:
-    """One configured number with the statistics of its signal."""
+    """One configured number (such as an axis of a sensor) with the statistics of its signal."""
 
     wanted: Wanted
     probe: Probe
@@ -68,10 +68,11 @@ def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[QuantityS
 
 
 def never_negative(sources: Iterable[QuantitySource]) -> dict[str, str]:
-    """For signed quantities that were never negative, describe where their sign may be.
+    """For each signed quantity that was never negative, return a text about signals that may
+    contain its sign.
 
-    The result is by quantity, for its first source. One-bit signals of the same message may hold
-    the sign.
+    Only the first source of each quantity is used. The possible signals are the one-bit signals of
+    the same message.
     """
     found = {}
     for source in sources:
@@ -91,10 +92,11 @@ def never_negative(sources: Iterable[QuantitySource]) -> dict[str, str]:
 
 
 def turned_quantities(sources: Iterable[QuantitySource]) -> dict[str, bool]:
-    """Return by quantity whether its first source has the signs of all axes reversed.
+    """Return for each quantity whether the configuration reverses the signs of all axes of its
+    first source.
 
-    Quantities with a separate sign bit are left out, because the bit means left in some vehicles
-    and right in others.
+    Quantities with a separate sign bit are not in the result, because in some vehicles a set bit
+    means left and in others right.
     """
     turned: dict[str, bool] = {}
     for source in sources:
@@ -105,7 +107,7 @@ def turned_quantities(sources: Iterable[QuantitySource]) -> dict[str, bool]:
 
 
 def signs_of_speed(sources: Iterable[QuantitySource]) -> str:
-    """Return the keys that set the sign of the first speed, in words."""
+    """Return a text with the keys that determine the sign of the first source of the speed."""
     speed = next(s.wanted for s in sources if s.wanted.channel == "speed" and not s.wanted.rank)
     return ("'sign_signal:' and " if speed.source.sign_signal else "") + "'sign:'"
 

@@ -23,14 +23,14 @@ from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
 from imucald.inputs.taps import Columns, Tap
 
 CYCLE_FRAMES = 5000
-"""Largest number of frames for the median that gives the observed cycle."""
+"""Largest number of frames that are used for the median interval (the observed cycle)."""
 STOPPED_S, STOPPED_CYCLES = 10.0, 20.0
 """A message is reported as stopped if it ends this time [s] and this number of cycles before the
 end of the log."""
 
 
 class Range:
-    """Smallest, mean and largest of numbers that are added in pieces."""
+    """The smallest number, the mean and the largest number of all added numbers."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -68,7 +68,8 @@ def _figure(value: float) -> float:
 
 
 class SignalStatistics:
-    """Statistics of one signal of a tap. rejected: numbers by reason, without absent values."""
+    """Statistics of one signal of a message. rejected: number of rejected values by reason. Absent
+    values are not counted."""
 
     def __init__(self, conversion: Conversion) -> None:
         self.conversion = conversion
@@ -87,7 +88,7 @@ class SignalStatistics:
 
 
 class _Times:
-    """The times of the frames of one kind."""
+    """The times of the frames of a message or of one of its multiplexer groups."""
 
     def __init__(self) -> None:
         self._intervals: list[Array] = []
@@ -124,7 +125,7 @@ class Probe:
         self.name, self.match, self.taps = route.name, route.match, route.taps
         self.sender, self.stated_cycle = route.sender, route.stated_cycle
         self.frames = 0
-        """Number of frames of this kind, good or not."""
+        """Number of all frames of the route, including rejected frames."""
         self.shortest = FD_BYTES
         """Length of the shortest frame [bytes]."""
         self.rejected: Counter[str] = Counter()
@@ -142,7 +143,8 @@ class Probe:
 
     @property
     def refused(self) -> Counter[str]:
-        """`rejected` without copies: one frame of each copied pair is accepted, so none is lost."""
+        """`rejected` without copied frames: the other frame of each copied pair is accepted, so no
+        data is lost."""
         return Counter({reason: n for reason, n in self.rejected.items() if reason != DOUBLED})
 
     @property
@@ -159,7 +161,8 @@ class Probe:
         return tuple(sorted((c for c in found if c is not None), reverse=True))
 
     def cycle_of(self, channel: str) -> float | None:
-        """`cycle` of the signals for one channel; with groups, that of the slowest group."""
+        """Return the `cycle` of the signals of one channel. In a message with multiplexer groups,
+        this is the cycle of the slowest group of the channel."""
         found = [self._cycle_of(tap) for tap in self.taps if tap.channel == channel]
         return max((c for c in found if c is not None), default=None)
 
@@ -175,7 +178,8 @@ class Probe:
         return [route.plan.signals[component.index].selectors for component in tap.components]
 
     def has_stopped(self, end: float) -> float | None:
-        """Return the time of the last frame if a regular message (or group) stopped early."""
+        """Return the time of the last frame if a cyclic message (or multiplexer group) stopped
+        before `end`; else None."""
         for times in self._of_groups.values() if self._of_groups else (self._times,):
             usual, last = times.cycle, times.last
             if usual is None or last is None:
@@ -188,8 +192,8 @@ class Probe:
     def lost_share(self) -> float | None:
         """Share of lost frames, from the times or from the counter, whichever is larger.
 
-        A counter does not show a gap in which it wraps. None for a message that is not cyclic and
-        has no counter, and for several senders.
+        A counter does not show a gap in which it wraps. None if the message is not cyclic and has
+        no counter, or if there are several senders.
         """
         if len(self.addresses) > 1:
             return None

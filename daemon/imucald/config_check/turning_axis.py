@@ -1,4 +1,4 @@
-"""Check whether bends show in the gyroscope axis that is vertical according to gravity."""
+"""Check whether the gyroscope shows bends in the axis that is vertical according to gravity."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ from imucald.mount.signal_blocks import BLOCK_TICKS
 
 
 def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
-    """Check whether the force in bends follows the rate about the vertical or about another axis.
+    """Check whether the specific force in bends is proportional to the rate about the vertical or
+    to another rate.
 
     The directions forward and left are not needed. The horizontal force is fitted with dv/dt and
-    v r. Here, r is the rate about the vertical, with the axes as configured, with a reversed sign,
-    or with exchanged axes. The likelihood ratio of the residuals decides (as in `alternatives`), if
-    the alternative explains much.
+    with the product v r of speed and rate. The rate r is the rate about the vertical, with the
+    gyroscope axes as configured, with a reversed sign, or with exchanged axes. An alternative is
+    reported if the likelihood ratio of the residuals prefers it (as in `mount.alternatives`) and it
+    explains most of the force.
     """
     up, gravity = motion.up, motion.gravity
     if up is None or gravity is None or motion.accel is None or "gyro" not in motion.grid:

@@ -8,10 +8,9 @@ from imucald.config_check.source import QuantitySource
 
 
 def unit_advice(sources: Iterable[QuantitySource]) -> dict[str, str]:
-    """Return advice by quantity: the stated unit, the unit in the database, and what to do.
-
-    The keys are names in the configuration, both of axes and of sensors, such as "accelerometer.x"
-    and "accelerometer".
+    """Return advice for each quantity with a stated unit: the stated unit, the unit in the
+    database, and the remedy. The keys are names of axes and of sensors in the configuration, such
+    as "accelerometer.x" and "accelerometer".
     """
     made: dict[str, str] = {}
     for source in sources:

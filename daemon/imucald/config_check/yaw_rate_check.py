@@ -13,21 +13,25 @@ from imucald.core.arrays import Array
 from imucald.mount.contradictions import UNLIKE, WRONG_UNIT
 
 MIN_TURNING = 0.008
-"""Smallest standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
+"""Smallest standard deviation of the yaw rate for a comparison [rad/s]: a drive with bends of a
+motorway."""
 MIN_TURNING_TO_FOLLOW = 0.04
-"""Smallest standard deviation for reporting a signal that does not follow [rad/s]: a city."""
+"""A signal that does not show the same turns is reported only if the standard deviation of the yaw
+rate is at least this [rad/s], as in city driving."""
 OTHER_RATIO = 2.5
 """A larger gain of the steering angle means a wrong unit, even if steering ratio and wheelbase are
-not stated. For trucks they are up to 1.3 times and twice those of a car."""
+not stated. The steering ratio of a truck is up to 1.3 times that of a car, the wheelbase up to
+twice."""
 _STEERING = "steering_wheel_angle"
 
 
 def sign_findings(
     rates: Mapping[str, Array], turned: Mapping[str, bool] = MappingProxyType({})
 ) -> Iterator[Finding]:
-    """Compare the signs of all measurements of the yaw rate with the first one that shows turns.
+    """Compare the signs of all measurements of the yaw rate with the first measurement that shows
+    turns.
 
-    turned: by quantity, whether the configuration reverses the signs of all its axes.
+    turned: for each quantity, whether the configuration reverses the signs of all its axes.
     """
     gains = _gains(rates)
     reference = next(iter(gains), "")
@@ -42,7 +46,8 @@ def sign_findings(
 
 
 def gain_findings(rates: Mapping[str, Array], unit_advice: Mapping[str, str]) -> Iterator[Finding]:
-    """Check the gains. With three or more measurements the median is right; with two, the first."""
+    """Check the gains of all measurements of the yaw rate. The reference is the median gain of
+    three or more measurements, or the first of two measurements."""
     sizes = {name: abs(gain) for name, gain in _gains(rates).items()}
     middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
     for name, size in sizes.items():
@@ -54,7 +59,8 @@ def gain_findings(rates: Mapping[str, Array], unit_advice: Mapping[str, str]) ->
 
 
 def _gains(rates: Mapping[str, Array]) -> dict[str, float]:
-    """Return the gain of each measurement that follows the first one that shows turns."""
+    """Return the gain of each measurement that agrees with the first measurement that shows
+    turns."""
     reference, *others = [n for n, rate in rates.items() if spread(rate) > MIN_TURNING] or [""]
     gains = {reference: 1.0} if reference else {}
     for name in others:

@@ -1,2 +1,2 @@
-"""Foundation of the package: rotations, samples, errors, files. `core` imports no other package of
+"""Foundation of imucald: rotations, samples, errors, files. `core` imports no other part of
 imucald."""

@@ -1,6 +1,7 @@
 """Factors between degrees and radians, defined once. All angles inside the package are in radians.
 
-`math.degrees`, `math.radians`, `np.rad2deg` and `np.deg2rad` multiply by the same doubles.
+The functions `math.degrees`, `math.radians`, `np.rad2deg` and `np.deg2rad` multiply by exactly
+these numbers.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 def solved(matrix: Array, right: Array) -> Array:
-    """Return x (..., n, k) or (n,) with matrix x = right. Raises LinAlgError for a singular
-    matrix.
+    """Solve the linear system `matrix @ x = right`. Return x, (..., n, k) or (n,). Raises
+    LinAlgError for a singular matrix.
     """
     return np.asarray(np.linalg.solve(matrix, right), dtype=float)
 
@@ -33,7 +33,7 @@ def inverse(matrix: Array) -> Array:
 def median(values: Iterable[float]) -> float:
     """Return the median; for an even number of values, the mean of the middle two.
 
-    Raises ValueError without any value.
+    Raises ValueError if there is no value.
     """
     ordered = values if isinstance(values, np.ndarray) else sorted(values)
     if not len(ordered):
@@ -55,8 +55,8 @@ def distinct(values: NDArray[Number]) -> NDArray[Number]:
 
 
 def true_runs(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the runs of true flags (N,): for each, its first place and the place after its last
-    (R, 2).
+    """Return the runs of true flags in `flags` (N,) as an array (R, 2): the index of the first flag
+    of each run, and the index after the last flag.
     """
     padded = np.zeros(len(flags) + 2, np.int8)
     padded[1:-1] = flags

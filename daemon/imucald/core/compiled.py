@@ -1,20 +1,18 @@
-"""The compiled part: loops in C, present if a C compiler was there when the package was installed.
+"""The compiled part: loops in C. It exists if a C compiler was available when the package was
+installed.
 
-Everything works without it, with the same bits, but slowly. Frames and samples are then taken one
-by one in Python. Tests compare the kernels with this Python version. `setup.py` builds the library
-from `core/kernels`, and only this module loads it. Each kernel has its Python version next to the
-call::
+Without the compiled part, all functions give bit-identical results, but slowly: frames and samples
+are processed one by one in Python. Tests compare the kernels with the Python version. `setup.py`
+builds the library from `core/kernels`, and only this module loads it. The Python version of each
+kernel stands next to the call::
 
-    kernels = compiled.kernels
-    if kernels is not None:
-        kernels.candump(...)
-        return ...
+kernels = compiled.kernels if kernels is not None: kernels.candump(...) return ...
 
 `kernels` is None in four cases: the library is missing, it cannot be loaded, it was built from
-other sources than those next to it, or the environment has IMUCALD_COMPILED=0.
+sources that differ from the present sources, or the environment has IMUCALD_COMPILED=0.
 
-A kernel takes numpy arrays directly and checks their types and shapes itself. A function raises
-ValueError if an array does not fit. A function keeps no array after the call.
+A kernel takes numpy arrays directly and checks their types and shapes itself. A kernel raises
+ValueError if an array does not fit. A kernel does not use an array after the call.
 """
 
 from __future__ import annotations
@@ -29,10 +27,10 @@ from pathlib import Path
 from typing import Final
 
 SWITCH: Final = "IMUCALD_COMPILED"
-"""With the value 0, the compiled part is neither loaded nor built."""
+"""Environment variable. With the value 0, the compiled part is neither loaded nor built."""
 NAME: Final = "_kernels"
 SOURCES: Final = Path(__file__).with_name("kernels")
-"""Sources in a checkout; an installed package has none."""
+"""Folder of the C sources in a checkout. An installed package has no sources."""
 
 Kernel = Callable[..., int]
 
@@ -42,8 +40,8 @@ _TYPES: Final = {"o": ctypes.py_object, "i": ctypes.c_long, "d": ctypes.c_double
 class Kernels:
     """The functions of the library.
 
-    The letters below are the arguments of each function: o an array, i a whole number, d a float.
-    `core/kernels` documents their meaning at each function.
+    The letters below are the types of the arguments: o is an array, i an integer, d a float. The
+    files in `core/kernels` document the arguments of each function.
     """
 
     candump: Kernel
@@ -69,14 +67,14 @@ class Kernels:
 
 
 kernels: Kernels | None = None
-"""The compiled part, or None."""
+"""The loaded compiled part, or None."""
 state = ""
-"""State of the compiled part in words: "in use", or the reason why not."""
+"""State of the compiled part in words: "in use", or the reason why it is not used."""
 
 
 def slow_words() -> str:
-    """Return a note that results take long without the compiled part, and why; "" if the part is
-    used.
+    """Return a note that the program is slow without the compiled part, with the reason; "" if the
+    compiled part is used.
     """
     if kernels is not None:
         return ""
@@ -87,7 +85,8 @@ def slow_words() -> str:
 
 
 def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
-    """Return the library of a folder, and its state in words."""
+    """Load the library in a folder. Return its functions (None if not usable), and the state in
+    words."""
     if os.environ.get(SWITCH) == "0":
         return None, f"switched off by {SWITCH}=0"
     names = (folder / (NAME + suffix) for suffix in EXTENSION_SUFFIXES)
@@ -106,9 +105,8 @@ def load(folder: Path, sources: Path = SOURCES) -> tuple[Kernels | None, str]:
 
 
 def stamp(sources: Path) -> int:
-    """Return a number that changes with the sources.
-
-    The library contains the number of its own sources.
+    """Return a checksum of the C sources. The library contains the checksum of the sources from
+    which it was built.
     """
     found = 0
     for file in sorted(sources.iterdir()):
@@ -119,7 +117,7 @@ def stamp(sources: Path) -> int:
 
 @contextmanager
 def left_out() -> Iterator[None]:
-    """Disable the compiled part for a while; for tests, in one thread."""
+    """Disable the compiled part within the context. For tests with one thread."""
     global kernels  # noqa: PLW0603
     kept, kernels = kernels, None
     try:

@@ -5,11 +5,12 @@ steering ratio 14 to 17). These values are also the defaults of `vehicle:` and o
 """
 
 WHEELBASE = 2.68
-"""[m]"""
+"""Wheelbase [m]."""
 TRACK = 1.53
-"""[m]"""
+"""Track width [m]."""
 STEERING_RATIO = 15.5
-"""Steering-wheel angle over road-wheel angle."""
+"""Steering-wheel angle divided by road-wheel angle."""
 UNDERSTEER = 0.0025
-"""K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]: 1.4 deg/g, a passenger car
-(Gillespie, Fundamentals of Vehicle Dynamics, ch. 6: some 1 to 4 deg/g)."""
+"""Understeer gradient K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]. The value
+equals 1.4 deg/g, as in a passenger car (Gillespie, Fundamentals of Vehicle Dynamics, ch. 6: some 1
+to 4 deg/g)."""

@@ -1,8 +1,8 @@
 """All errors that imucald raises on purpose. Each class states when it is raised.
 
-Any other exception that escapes is a defect. Texts of `ImucaldError` are made for people. The
-errors name the place (file, line, key, message) and the remedy. The command line prints them
-without a trace.
+Any other exception that reaches the user is a defect. The texts of `ImucaldError` are written for
+users. They name the place (file, line, key, message) and the remedy. The command line prints them
+without a traceback.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ class ImucaldError(Exception):
 
 
 class ConfigError(ImucaldError):
-    """The configuration (YAML, or a file it names) is wrong; the text gives place, reason and
-    remedy.
+    """The configuration (a YAML file or a file named in it) is wrong. The text states place, reason
+    and remedy.
     """
 
 
@@ -23,7 +23,8 @@ class DatabaseError(ImucaldError):
 
 
 class DecodeError(ImucaldError):
-    """A frame does not fit its message (length, multiplexer); `reason` is the counter's name."""
+    """A frame does not fit its message (length, multiplexer). `reason` is the name under which such
+    frames are counted."""
 
     def __init__(self, reason: str, text: str) -> None:
         super().__init__(text)
@@ -38,9 +39,7 @@ class EncodeError(ImucaldError):
 
 
 class LogError(ImucaldError):
-    """A recorded log cannot be opened or read, or has a bad line and strict reading was
-    requested.
-    """
+    """A recorded log cannot be opened or read. In strict mode: the log has a bad line."""
 
 
 class NoFramesError(LogError):
@@ -52,4 +51,4 @@ class LinkError(ImucaldError):
 
 
 class EstimateError(ImucaldError):
-    """Numbers passed to an estimator break its contract (shape, order, not finite)."""
+    """Numbers passed to an estimator are invalid (shape, order, not finite)."""

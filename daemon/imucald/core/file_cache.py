@@ -1,10 +1,9 @@
-"""Cache of databases and configurations that were parsed before: parsing takes milliseconds to
-seconds.
+"""Cache of parsed databases and configurations, because parsing takes milliseconds to seconds.
 
-A cache file holds the original text, which must match to the last character, and the parsed content
-as JSON. Reading JSON can create nothing but such content. A damaged file, or one made by other
-versions, is ignored. Nothing here ever fails. Without a writable folder that belongs to this user
-alone, databases are parsed each time.
+A cache file contains the original text and the parsed content as JSON. The content is used only if
+the text is identical to the text of the file that is read. Reading JSON cannot run code. A damaged
+file, or a file from another version, is ignored. No function of this module raises an error.
+Without a writable folder that only this user can change, databases are parsed each time.
 """
 
 from __future__ import annotations
@@ -22,32 +21,34 @@ from typing import Final, TypeVar
 import msgspec
 
 MAX_TEXT: Final = 32 * 2**20
-"""Characters of the largest database that is cached."""
+"""Largest size of a cached database [characters]."""
 MAX_FILES: Final = 64
-"""Most databases in the cache; there is one file for each place from which a database was read."""
+"""Largest number of databases in the cache. There is one cache file for each path of a database."""
 STALE_S: Final = 600.0
-"""An unfinished file of this age [s] has no writer any more: writing one takes less than a
-second.
+"""An unfinished file that is older than this is removed [s], because writing a file takes less than
+a second.
 """
 _SUFFIX: Final = ".json"
 _UNFINISHED: Final = re.compile(r"[0-9a-f]{8}\.[0-9]+")
 """Name of a file that is being written: its final name, and the process number."""
 _CHECK_BYTES: Final = 9
-"""CRC-32 as text, and a newline. JSON follows: stamp, source, text, messages."""
+"""Size of the checksum at the start of a file [bytes]: CRC-32 as text, and a newline. The rest of
+the file is JSON: stamp, source, text, messages."""
 
 Message = TypeVar("Message")
 
 
 class _Cache:
-    """Folder of the cache; none until a command sets it."""
+    """The folder of the cache. Until a command sets the folder, there is no cache."""
 
     folder: Path | None = None
 
 
 def keep_databases(environment: Mapping[str, str]) -> None:
-    """Let this process use the cache in systemd's cache directory, otherwise in the user's.
+    """Let this process use the cache. The folder is the cache directory that systemd states, else
+    the cache directory of the user.
 
-    Only commands that people wait for call this; tests and libraries do not.
+    Only commands call this function; tests and libraries do not use the cache.
     """
     given = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
     home = environment.get("HOME", "")
@@ -57,7 +58,8 @@ def keep_databases(environment: Mapping[str, str]) -> None:
 
 
 def find(text: str, source: str, kind: type[Message]) -> list[Message] | None:
-    """Return the messages (of a kind) of a text that was parsed before from the same source."""
+    """Return the cached messages of a text from a source; None if they are not in the cache. kind:
+    the type of the messages."""
     if _Cache.folder is None or not _is_ours(_Cache.folder):
         return None
     try:
@@ -71,7 +73,7 @@ def find(text: str, source: str, kind: type[Message]) -> list[Message] | None:
 
 
 def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -> None:
-    """Cache the result of parsing a text, if possible."""
+    """Store the messages of a parsed text in the cache, if possible."""
     if _Cache.folder is None or len(text) > MAX_TEXT:
         return
     try:
@@ -95,7 +97,8 @@ def _decoded(content: bytes, kind: type[Message]) -> tuple[str, str, str, list[M
 
 
 def _write(place: Path, data: bytes) -> None:
-    """Write a file completely or not at all: on a full disk no part of it stays. Raises OSError."""
+    """Write a file completely or not at all: on a full disk, no incomplete file remains. Raises
+    OSError."""
     making = place.with_name(f"{place.stem}.{os.getpid()}")
     try:
         making.write_bytes(data)
@@ -131,7 +134,7 @@ def _check(content: bytes) -> bytes:
 
 
 def _is_ours(folder: Path) -> bool:
-    """Return whether no other user can put files there."""
+    """Return whether no other user can write files to a folder."""
     try:
         found = folder.stat()
     except OSError:
@@ -142,8 +145,8 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _stamp() -> str:
-    """Return a stamp of the code that reads databases and YAML: our modules and their libraries, by
-    size and time.
+    """Return a text that identifies the version of the code that reads databases and YAML. It
+    contains size and time of our modules and of their libraries.
     """
     package = Path(__file__).parents[1]
     ours = ("can/dbc/message.py", "can/dbc/parser.py", "core/yaml_parser.py")

@@ -1,10 +1,11 @@
-"""Small files: written completely or not at all, read with a checksum; files of other users read
-safely.
+"""Write small files completely or not at all, check them with a checksum, and read files of other
+users safely.
 
-An atomic file is one line of text (its kind, then the SHA-256 of the rest) and a body of bytes. A
-power cut cannot damage it. When a file of another user is read, pipes and devices are refused, and
-no more bytes are read than requested. SHA-256 comes from the interpreter's own module: `hashlib`
-would load OpenSSL, which costs 3 ms and 3.6 MiB of the 50 MiB that a daemon may use.
+A file with a checksum consists of one line of text (its kind, then the SHA-256 of the rest) and a
+body of bytes. A power cut cannot damage such a file. When a file of another user is read, pipes and
+devices are refused, and no more bytes are read than requested. SHA-256 comes from the interpreter's
+own module: `hashlib` would load OpenSSL, which costs 3 ms and 3.6 MiB of the 50 MiB that a daemon
+may use.
 """
 
 from __future__ import annotations
@@ -16,22 +17,21 @@ import stat
 from pathlib import Path
 
 UNFINISHED = ".tmp"
-"""Ending of a file that is being written."""
+"""Suffix of a file that is being written."""
 FOLDER = "folder"
-"""Part of the name of a folder that was in the place of a file and was set aside."""
+"""Word in the new name of a folder that had the name of a file and was renamed."""
 MAX_ASIDE = 8
-"""Largest number of files set aside under one name and word; the next replaces the oldest."""
+"""Largest number of renamed files with the same name and word. The next renamed file replaces the
+oldest."""
 
 
 def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
-    """Replace a file by one that is safely on the disk.
+    """Replace a file safely.
 
-    Raises OSError if that fails; nothing is lost then.
-
-    mode: its permissions, if they differ from those of new files.
-
-    The new file is written to the folder of the old one, forced to the disk, and renamed. The
-    folder is forced to the disk too. At every instant the file is the old one or the new one.
+    The new file is written to the folder of the old file, forced to the disk, and renamed. The
+    folder is forced to the disk too. At every instant, the complete old file or the complete new
+    file exists. Raises OSError if this fails; the old file is then unchanged. mode: permissions of
+    the new file; None means the default for new files.
     """
     unfinished = write_beside(path, data)
     if mode is not None:
@@ -45,9 +45,9 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
 
 
 def put_in_place(unfinished: Path, path: Path) -> None:
-    """Give a finished file its final name; a folder of that name is set aside.
+    """Rename a completely written file to its final name. A folder with this name is renamed first.
 
-    Raises OSError if that fails; the unfinished file is then removed.
+    Raises OSError if renaming fails; the written file is then removed.
     """
     try:
         try:
@@ -61,7 +61,8 @@ def put_in_place(unfinished: Path, path: Path) -> None:
 
 
 def write_beside(path: Path, data: bytes) -> Path:
-    """Write the replacement of a file and force it to the disk; return its path."""
+    """Write the replacement of a file with another name, and force it to the disk. Return the path
+    of the replacement."""
     unfinished = path.with_name(path.name + UNFINISHED)
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove(unfinished)  # a left-over, or a link that somebody put there
@@ -90,14 +91,15 @@ def with_checksum(title: str, body: bytes) -> bytes:
 
 
 def split_checksum(data: bytes) -> tuple[bytes, bytes, bool]:
-    """Return title, body, and whether the checksum matches the body."""
+    """Split the bytes of a file. Return title, body, and whether the checksum matches the body."""
     head, _, body = data.partition(b"\n")
     title, _, checksum = head.rpartition(b" ")
     return title, body, checksum == sha256(body).hexdigest().encode()
 
 
 def free_name(path: Path, word: str) -> Path:
-    """Return a name in the file's folder for something set aside: a free one, or the oldest's."""
+    """Return the new path for a file that is renamed and kept: a free name in its folder, or the
+    name of the oldest renamed file."""
     names = [path.with_name(f"{path.name}.{word}.{n}") for n in range(1, MAX_ASIDE + 1)]
     ages = {}
     for name in names:
@@ -119,14 +121,15 @@ def sync_folder(folder: Path) -> None:
 
 
 _FLAGS = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
-"""Flags that exist only on some systems: the last one on Windows."""
+"""Flags for opening files that exist only on some systems (O_BINARY on Windows)."""
 
 
 def read_regular(path: Path, max_bytes: int) -> bytes:
-    """Return a file's bytes, at most one more than `max_bytes`: then the file is too long.
+    """Return the bytes of a file. A result of `max_bytes` + 1 bytes means that the file is too
+    long.
 
-    Raises OSError if it cannot be read or is no regular file. The function does not wait for the
-    writer of a pipe, and stops reading `/dev/zero`.
+    Raises OSError if the file cannot be read or is not a regular file. The function never waits for
+    the writer of a pipe, and never reads `/dev/zero` without end.
     """
     # The check comes before opening, because opening a device may have effects.
     _refuse_other(path, path.stat())

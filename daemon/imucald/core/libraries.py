@@ -1,4 +1,5 @@
-"""External libraries: installation of an optional one, and imports without unneeded parts."""
+"""External libraries: how to install optional libraries, and how to import a library without
+unneeded parts."""
 
 from __future__ import annotations
 
@@ -8,13 +9,13 @@ from contextlib import contextmanager
 from types import ModuleType
 
 PACKAGED = "/usr/lib/imucald/"
-"""Folder of the Debian packages."""
+"""Folder in which the Debian packages install imucald."""
 IN_WORKBENCH = ("live", "report")
-"""Extras that the package imucald-workbench has."""
+"""Extras that the Debian package imucald-workbench contains."""
 
 
 def how_to_install(extra: str) -> str:
-    """Return the command that installs an extra of pyproject.toml, as words for a message."""
+    """Return a text for messages with the command that installs an extra of pyproject.toml."""
     if __file__.startswith(PACKAGED):
         if extra in IN_WORKBENCH:
             return "install the Debian package imucald-workbench"
@@ -24,10 +25,11 @@ def how_to_install(extra: str) -> str:
 
 @contextmanager
 def standing_in(name: str, module: ModuleType | None) -> Iterator[None]:
-    """Replace a module by another one during the imports in the body; None: as if it were not
-    installed.
+    """Context in which imports of the module `name` give `module` instead. With None, the module
+    seems to be not installed.
 
-    A later import gets the real module. A module that is already loaded stays as it is.
+    After the context, an import gives the real module. A module that is already loaded is not
+    replaced.
     """
     if name in sys.modules:
         yield

@@ -1,6 +1,4 @@
-"""Memory that this process may use: limits of the machine, its control group, and its own
-limits.
-"""
+"""Memory that this process may use, from the limits of machine, control group and process."""
 
 from __future__ import annotations
 
@@ -15,8 +13,8 @@ except ImportError:  # Windows
 
 _GROUPS = Path("/sys/fs/cgroup")
 _UNSTATED = 4 * 2**30
-"""Memory that is assumed for a machine that does not state it (Windows): the least that a desktop
-has today.
+"""Memory that is assumed for a machine that does not state its memory (Windows) [bytes]: the
+smallest memory of present desktop computers.
 """
 
 
@@ -52,7 +50,7 @@ def limit_own(memory: int, seconds: int) -> None:
 
 
 def _unified(own_group: Path) -> str:
-    """Return the path of this process's group in the single hierarchy of cgroup v2."""
+    """Return the path of this process's control group in the unified hierarchy (cgroup v2)."""
     try:
         lines = own_group.read_text().splitlines()
     except OSError:

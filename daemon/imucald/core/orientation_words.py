@@ -1,7 +1,7 @@
-"""Words for how a sensor sits: where each of its axes points in the vehicle.
+"""Texts about the orientation of a sensor: the direction of each sensor axis in the vehicle.
 
-Roll and yaw cannot be told apart near 90 deg of pitch. Words such as "x points up, 5 deg back" are
-clear for every mount.
+Roll and yaw cannot be distinguished near 90 deg of pitch. Words such as "x points up, 5 deg back"
+are clear for every mount.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ WAYS = (("forward", "back"), ("left", "right"), ("up", "down"))
 """Names of the two directions of each vehicle axis."""
 UP = 2
 STEEP = math.radians(70.0)
-"""Pitch beyond which roll and yaw lose their meaning.
+"""Pitch above which a note about roll and yaw is shown [rad].
 
-At 90 deg they are one angle; here an error of one degree about the vehicle's axes is already three
-degrees of yaw (1 / cos 70 deg).
+At a pitch of 90 deg, roll and yaw are rotations about the same axis. At 70 deg, an error of one
+degree about the vehicle's axes already causes an error of three degrees in yaw (1 / cos 70 deg).
 """
 
 
 def axis_words(R_vehicle_from_sensor: Matrix3, axis: int) -> str:
-    """Return where one sensor axis points, as "up, 5 deg back"; R: (3, 3).
+    """Return the direction of one sensor axis in words, such as "up, 5 deg back".
 
-    The text names the nearest of the vehicle's six directions and the lean to others. For a
-    horizontal direction it gives heading and height; for up and down it gives the lean to each
-    side.
+    The text names the nearest of the vehicle's six directions and the angles towards other
+    directions. For a horizontal direction, these are the angles to the side and up or down. For up
+    and down, these are the angles towards front or back and left or right.
     """
     v = [float(c) for c in R_vehicle_from_sensor[:, axis]]
     main = max(range(3), key=lambda i: abs(v[i]))
@@ -47,8 +47,8 @@ def axis_words(R_vehicle_from_sensor: Matrix3, axis: int) -> str:
 
 
 def sits_words(R_vehicle_from_sensor: Matrix3) -> str:
-    """Return the whole mount in one line: "x points up, 5 deg back; y points left; z points
-    forward".
+    """Return the directions of all axes in one line: "x points up, 5 deg back; y points left; z
+    points forward".
     """
     return "; ".join(
         f"{name} points {axis_words(R_vehicle_from_sensor, i)}" for i, name in enumerate(AXES)
@@ -56,8 +56,8 @@ def sits_words(R_vehicle_from_sensor: Matrix3) -> str:
 
 
 def leaning_words(R_vehicle_from_sensor: Matrix3) -> str:
-    """Return the words for a mount of unknown forward direction: the angle of each axis against the
-    horizontal.
+    """Return a text about a mount whose forward direction is unknown: the angle between each axis
+    and the horizontal plane.
     """
     parts = []
     for i, name in enumerate(AXES):
@@ -70,9 +70,8 @@ def leaning_words(R_vehicle_from_sensor: Matrix3) -> str:
 
 
 def steep_words(pitch: float, quaternion: Sequence[float]) -> str | None:
-    """Return a note to roll, pitch and yaw of a steep mount; None if the angles need no note.
-
-    pitch: [rad]. quaternion: w, x, y, z.
+    """Return a note about roll, pitch and yaw of a steep mount; None if no note is needed. pitch:
+    [rad]. quaternion: w, x, y, z.
     """
     if abs(pitch) <= STEEP:
         return None

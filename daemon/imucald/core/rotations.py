@@ -1,6 +1,6 @@
 """ISO 8855 axes and rotations: the only module with angle conventions.
 
-Vehicle axes: x forward, y left, z up. The name of a rotation has both frames:
+Vehicle axes: x forward, y left, z up. The name of a rotation contains both frames:
 `R_vehicle_from_sensor @ v_sensor = v_vehicle`. Mount angles are the intrinsic Z-Y-X (yaw, pitch,
 roll) angles of that rotation, as in ``scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw,
 pitch, roll])``. Positive yaw turns the sensor to the left, positive pitch turns its nose down, and
@@ -19,12 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 Matrix3 = NDArray[np.float64]
 """(3, 3) float64."""
 UPSIDE_DOWN = -0.5
-"""Cosine of the lean beyond which levelling starts from the upside-down position."""
+"""If the cosine of the tilt is below this, the levelling rotation is computed with a second
+formula, which is accurate for a sensor that is nearly upside down."""
 Vector = tuple[float, float, float]
 Rows = tuple[float, float, float, float, float, float, float, float, float]
 """A 3 x 3 matrix as plain numbers, row by row.
 
-For a single sample, an array costs more than its arithmetic.
+For a single sample, creating an array takes longer than the multiplication.
 """
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z of a unit quaternion."""
@@ -47,9 +48,9 @@ def transposed_times(m: Rows, v: Sequence[float]) -> Vector:
 
 
 def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return matrices times vectors (N, 3), with the same bits as `times` row by row.
+    """Return matrices times vectors v (N, 3). The results are bit-identical to `times`.
 
-    rows: (N, 9) or (1, 9); further columns are ignored.
+    rows: (N, 9) or (1, 9), matrices row by row; further columns are ignored.
     """
     x, y, z = v[:, 0], v[:, 1], v[:, 2]
     r = rows.T
@@ -57,11 +58,12 @@ def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[
 
 
 def times_level(m: Rows, v: Sequence[float]) -> Vector:
-    """Return x and y of a level sensor with two axes, turned about the vertical as m turns its x
-    axis.
+    """Rotate the sample v of a level sensor with two axes about the vertical. The rotation angle is
+    the yaw of the x axis in m.
 
-    m: R_vehicle_from_sensor, with both z axes equal up to the crown of a road. z stays unknown
-    (NaN). Claim 5 of method A (application CN 201610826380).
+    m: R_vehicle_from_sensor; the z axes of sensor and vehicle differ at most by the cross slope of
+    the road. The z value of the result is unknown (NaN). Source: claim 5 of method A (application
+    CN 201610826380).
     """
     c, s = m[0], m[3]
     size = math.sqrt(c * c + s * s)
@@ -70,7 +72,8 @@ def times_level(m: Rows, v: Sequence[float]) -> Vector:
 
 
 def times_level_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same for (N, 9) or (1, 9) and (N, 3), with the same bits."""
+    """Do `times_level` for matrices (N, 9) or (1, 9) and vectors v (N, 3), with bit-identical
+    results."""
     c, s, x, y = rows[:, 0], rows[:, 3], v[:, 0], v[:, 1]
     size = np.sqrt(c * c + s * s)
     out = (c * x - s * y) / size, (s * x + c * y) / size, np.full(len(v), np.nan)
@@ -78,9 +81,8 @@ def times_level_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> ND
 
 
 def applied(matrices: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return matrices (..., r, 3) times (..., 3, k), with sums from left to right.
-
-    A library's matrix product uses a different order on each processor.
+    """Return the matrix product of (..., r, 3) and (..., 3, k). The products are summed from left
+    to right, because the matrix product of a library uses a different order on each processor.
     """
     first = matrices[..., :, 0, None] * columns[..., None, 0, :]
     first += matrices[..., :, 1, None] * columns[..., None, 1, :]
@@ -89,13 +91,13 @@ def applied(matrices: NDArray[np.float64], columns: NDArray[np.float64]) -> NDAr
 
 
 def matrix_times(R: Matrix3, v: Vector) -> Vector:
-    """Return matrix (3, 3) times vector, as plain numbers."""
+    """Return matrix R (3, 3) times vector v, as Python floats."""
     x, y, z = (float(c) for c in R @ np.array(v))
     return x, y, z
 
 
 def rotation_from_angles(roll: float, pitch: float, yaw: float) -> Matrix3:
-    """Return the rotation sensor -> vehicle from intrinsic Z-Y-X mount angles [rad]; (3, 3)."""
+    """Return R_vehicle_from_sensor (3, 3) from intrinsic Z-Y-X mount angles [rad]."""
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
@@ -109,7 +111,7 @@ def rotation_from_angles(roll: float, pitch: float, yaw: float) -> Matrix3:
 
 
 def angles_from_rotation(R_vehicle_from_sensor: ArrayLike) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw [rad] of a rotation (3, 3); roll is 0 at pitch +-90."""
+    """Return roll, pitch, yaw [rad] of a rotation (3, 3). Roll is 0 if pitch is +90 or -90 deg."""
     R = np.asarray(R_vehicle_from_sensor, dtype=float)
     pitch = math.atan2(-R[2, 0], math.hypot(R[2, 1], R[2, 2]))
     if math.hypot(R[2, 1], R[2, 2]) < 1e-9:
@@ -118,7 +120,8 @@ def angles_from_rotation(R_vehicle_from_sensor: ArrayLike) -> tuple[float, float
 
 
 def skew(v: ArrayLike) -> NDArray[np.float64]:
-    """Cross-product matrices: ``skew(a) @ b == cross(a, b)``; (..., 3) -> (..., 3, 3)."""
+    """Return cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a,
+    b)``."""
     x, y, z = np.moveaxis(np.asarray(v, dtype=float), -1, 0)
     o = np.zeros_like(x)
     return np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*x.shape, 3, 3)
@@ -126,11 +129,11 @@ def skew(v: ArrayLike) -> NDArray[np.float64]:
 
 _EYE = np.eye(3)
 NEARLY = 1e-9
-"""A matrix whose rows are orthonormal within this is a rotation up to rounding."""
+"""A matrix counts as a rotation if its rows are orthonormal within this tolerance."""
 
 
 def rotation_from_vector(v: ArrayLike) -> Matrix3:
-    """Exponential map (Rodrigues): rotation vector [rad] (3,) -> (3, 3)."""
+    """Return the rotation matrix (3, 3) of a rotation vector [rad] (3,) (Rodrigues' formula)."""
     x, y, z = np.asarray(v, dtype=float).tolist()
     angle = math.sqrt(x * x + y * y + z * z)
     a, b = 1.0, 0.5  # of K and K K, K the cross-product matrix
@@ -147,7 +150,8 @@ def rotation_from_vector(v: ArrayLike) -> Matrix3:
 
 
 def vector_from_rotation(R: ArrayLike) -> NDArray[np.float64]:
-    """Logarithm map: (3, 3) -> rotation vector [rad] (3,), with length in [0, pi]."""
+    """Return the rotation vector [rad] (3,) of a rotation matrix (3, 3). Its length is in [0,
+    pi]."""
     w, x, y, z = quaternion_from_rotation(R)
     norm = math.sqrt(x * x + y * y + z * z)
     if norm < 1e-12:
@@ -157,7 +161,8 @@ def vector_from_rotation(R: ArrayLike) -> NDArray[np.float64]:
 
 
 def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
-    """Return unit quaternion (w, x, y, z) with w >= 0 of a rotation (3, 3) (Shepperd's method)."""
+    """Convert a rotation matrix (3, 3) to its unit quaternion (w, x, y, z) with w >= 0 (Shepperd's
+    method)."""
     # Plain numbers take a third of the time of array elements.
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(R, dtype=float).tolist()
     candidates = [
@@ -183,11 +188,11 @@ def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
 
 
 def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
-    """Return the shortest rotation that turns the specific force at rest (3,) to (0, 0, |J|).
+    """Return the smallest rotation that rotates the specific force at rest J (3,) to (0, 0, |J|).
 
-    This rotation is the tilt of method A, step 3: afterwards the sensor's x and y lie in the
-    horizontal plane. The rotation is about the horizontal axis by atan2(hypot(Jx, Jy), Jz). For a
-    sensor exactly upside down that axis is undefined; x is used.
+    This rotation is the tilt of method A, step 3: after the rotation, the sensor's x and y axes are
+    horizontal. The rotation axis is horizontal, and the angle is atan2(hypot(Jx, Jy), Jz). For a
+    sensor exactly upside down, the axis is undefined; the x axis is used.
     """
     up = np.asarray(gravity_sensor, dtype=float)
     ux, uy, uz = up / np.sqrt(up @ up)
@@ -236,7 +241,7 @@ def quaternion_from_vector(x: float, y: float, z: float) -> Quaternion:
 
 
 def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return the product p q, normalised: rotation q first, then p."""
+    """Return the normalised product p q: the rotation q followed by the rotation p."""
     pw, px, py, pz = p
     qw, qx, qy, qz = q
     w = pw * qw - px * qx - py * qy - pz * qz
@@ -248,15 +253,16 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def quaternion_turned(q: Quaternion, x: float, y: float, z: float) -> Quaternion:
-    """Return q followed, in body axes, by a rotation vector [rad]; the result has unit length."""
+    """Return q after a further rotation by the rotation vector (x, y, z) [rad] in body axes. The
+    result has unit length."""
     return quaternion_product(q, quaternion_from_vector(x, y, z))
 
 
 def rows_from_quaternion(
     q: tuple[Number, Number, Number, Number],
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:
-    """Return the rotation matrix of a unit quaternion, row by row; of numbers or of columns
-    (N,).
+    """Return the rotation matrix of a unit quaternion, row by row. The components are numbers or
+    columns (N,).
     """
     w, x, y, z = q
     xx, yy, zz = x * x, y * y, z * z
@@ -270,5 +276,5 @@ def rows_from_quaternion(
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product."""
+    """Return the cross product of two vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

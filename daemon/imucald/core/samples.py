@@ -21,15 +21,15 @@ SI_UNITS: Mapping[str, str] = {
     "temperature": "degC",
     "flag": "",
 }
-"""Unit of each dimension."""
+"""The SI unit of each dimension."""
 
 
 class Quantity(NamedTuple):
     """Meaning of a channel's samples.
 
-    key: its key in the configuration's `signals`. title: its words in reports. width: numbers per
-    sample. tick: what a tick holds of it (`motion.ticks`): "mean" (number of samples and their
-    mean), "last" (the last value), or empty: nothing, or columns of its own.
+    key: key in the section `signals` of the configuration. title: name in reports. width: number of
+    values per sample. tick: the values that a tick stores (`motion.ticks`): "mean" (number of
+    samples and their mean), "last" (the last value), or empty (no values, or special columns).
     """
 
     channel: str
@@ -46,16 +46,17 @@ class Quantity(NamedTuple):
 
 
 ACCEL = Quantity("accel", "accelerometer", "acceleration", "accelerometer", 3)
-"""Specific force in sensor axes: +9.81 on an axis up at rest."""
+"""Specific force in sensor axes. An axis that points up reads +9.81 m/s^2 at rest."""
 GYRO = Quantity("gyro", "gyroscope", "angular_rate", "gyroscope", 3)
 """Angular rate in sensor axes, right-handed."""
 MAG = Quantity("mag", "magnetometer", "magnetic_field", "magnetometer", 3)
 SPEED = Quantity("speed", "speed", "speed", "speed")
-"""Not negative; the direction comes from `REVERSE`."""
+"""Speed of the vehicle, not negative. `REVERSE` contains the direction."""
 WHEEL_SPEEDS = Quantity("wheel_speeds", "wheel_speeds", "speed", "wheel speeds", 4)
-"""Front left, front right, rear left, rear right."""
+"""Speeds of the wheels: front left, front right, rear left, rear right."""
 STEERING = Quantity("steering", "steering_wheel_angle", "angle", "steering", tick="mean")
-"""As `YAW_RATE` and the accelerations of the vehicle (ISO 8855): positive to the left, forward."""
+"""Steering-wheel angle. Like `YAW_RATE` and the accelerations of the vehicle, it is positive to the
+left (forward for the longitudinal acceleration), as in ISO 8855."""
 YAW_RATE = Quantity("yaw_rate", "yaw_rate", "angular_rate", "vehicle yaw rate", tick="mean")
 LATERAL_ACCEL = Quantity(
     "lateral_accel", "lateral_acceleration", "acceleration", "vehicle lateral acceleration",
@@ -66,13 +67,13 @@ LONGITUDINAL_ACCEL = Quantity(
     "vehicle longitudinal acceleration", tick="mean",
 )  # fmt: skip
 REVERSE = Quantity("reverse", "reverse", "flag", "reverse", tick="last")
-"""1 in reverse gear, else 0."""
+"""Reverse gear: 1 in reverse, else 0."""
 BRAKE = Quantity("brake", "brake", "flag", "brake", tick="last")
-"""1 when it is applied, else 0."""
+"""Brake: 1 if it is applied, else 0."""
 TEMPERATURE = Quantity("temperature", "temperature", "temperature", "temperature", tick="last")
 """Temperature of the sensor."""
 HEADING = Quantity("heading", "heading", "angle", "heading", tick="last")
-"""Clockwise from north."""
+"""Heading of the vehicle, clockwise from north."""
 
 QUANTITIES: Mapping[str, Quantity] = {
     row.channel: row
@@ -81,35 +82,35 @@ QUANTITIES: Mapping[str, Quantity] = {
         LONGITUDINAL_ACCEL, REVERSE, BRAKE, TEMPERATURE, HEADING,
     )
 }  # fmt: skip
-"""Every quantity, by channel, in the order for people.
+"""All quantities, by channel, in the order of reports.
 
-A sample is one number or `width` numbers in `unit`: arrays (N,) or (N, width). Each quantity with a
-setting of its `key` in `config/signals.py` is read from the bus.
+A sample is one number or `width` numbers in `unit`. Samples are stored in arrays (N,) or (N,
+width). A quantity is read from the bus if `config/signals.py` has a setting for its `key`.
 """
 
 INERTIAL = tuple(
     row.channel for row in QUANTITIES.values() if row.dimension in ("acceleration", "angular_rate")
 )
-"""Channels of accelerations and rates: the noise of the sensor changes their values from sample to
-sample.
+"""Channels of accelerations and turn rates. Because of the sensor's noise, their values change from
+sample to sample.
 """
 
 
 TRIADS = tuple(row.channel for row in QUANTITIES.values() if row.width == 3)
 VEHICLE_SIGNALS = tuple(row.channel for row in QUANTITIES.values() if row.tick == "mean")
-"""Channels of signals of the vehicle with one number each, but for the speed."""
+"""Channels of vehicle signals with one number per sample, except the speed."""
 FLAGS = tuple(row.channel for row in QUANTITIES.values() if row.dimension == "flag")
 
 
 def width_of(channel: str) -> int:
-    """Return the number of values in a sample; a channel of a parallel sensor has three."""
+    """Return the number of values in a sample of a channel. Parallel sensors have three values."""
     return QUANTITIES[channel].width if channel in QUANTITIES else 3
 
 
 class Series(Struct, frozen=True):
     """Samples of one channel, in time order.
 
-    t: (N,) seconds, never decreasing. values: (N,) or (N, width), SI units, finite.
+    t: (N,) time [s], never decreasing. values: (N,) or (N, width), SI units, finite.
     """
 
     t: NDArray[np.float64]
@@ -117,4 +118,4 @@ class Series(Struct, frozen=True):
 
 
 Samples = Mapping[str, Series]
-"""Channel name to its samples; a channel that a log lacks is absent."""
+"""The samples of each channel, by its name. A channel without samples has no entry."""

@@ -1,12 +1,12 @@
-"""Text for people: numbers with their nouns, times, and external text made safe for a screen.
+"""Texts for people: numbers with nouns, times, and external texts made safe for a screen.
 
-A terminal obeys control characters, and characters that change the direction of writing hide the
-content of a text. Each such character is shown as an escape of JSON (``\\u001b``), so that JSON
+A terminal executes control characters, and characters that change the writing direction can hide
+the content of a text. Each such character is shown as a JSON escape (``\\u001b``), so that JSON
 keeps its meaning.
 
-A file name is bytes. If they are not UTF-8, Python stores them as lone surrogates, which no encoder
-accepts. A text that may contain a file name is therefore made encodable before it is sent or
-written.
+A file name consists of bytes. Bytes that are not UTF-8 are stored by Python as lone surrogates. No
+encoder accepts lone surrogates. A text that may contain a file name is therefore made encodable
+before it is sent or written.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from collections.abc import Iterable
 from typing import Any, Final, TextIO
 
 _SURROGATES: Final = "\ud800-\udfff"
-"""Characters that represent bytes of a name that is not UTF-8: no encoding has them."""
+"""Characters that represent bytes of a file name that are not UTF-8. They cannot be encoded."""
 CONTROLS: Final = re.compile(f"[\x00-\x08\x0b\x0c\x0e-\x1f{_SURROGATES}]|\r(?!\n)")
-"""Unsafe characters for files and pipes: those that JSON escapes itself."""
+"""Unsafe characters for files and pipes: the characters that JSON always escapes."""
 UNSAFE: Final = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
     f"{_SURROGATES}]|\r(?!\n)"
 )
-"""Unsafe characters for screens and logs; new lines and tabs are not among them."""
+"""Unsafe characters for screens and logs. Line breaks and tabs are not unsafe."""
 _NUMBERS: Final = re.compile(r"[0-9.]+")
 _LINE_BREAKING: Final = re.compile(f"{UNSAFE.pattern}|[\n\t\r]")
 
@@ -36,22 +36,25 @@ def made_safe(text: str, unsafe: re.Pattern[str] = UNSAFE) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return the text for a cell of a table or a sentence: line breaks are escaped too."""
+    """Return the text as one line, for a table cell or a sentence: unsafe characters and line
+    breaks are escaped."""
     return made_safe(text, _LINE_BREAKING)
 
 
 def without_numbers(text: str) -> str:
-    """Return a text that is the same for texts that differ only in numbers."""
+    """Return the text without its numbers. The results are equal for texts that differ only in
+    numbers."""
     return _NUMBERS.sub("", text)
 
 
 class SafeStream:
-    """A stream of text with control characters as escapes; other data pass unchanged."""
+    """A text stream that writes unsafe characters as escapes. Other text is not changed."""
 
     def __init__(self, behind: TextIO, is_for_people: bool = False) -> None:
-        """is_for_people: escape even if the stream is no terminal, as for standard error."""
+        """behind: the underlying stream. is_for_people: escape all characters of `UNSAFE`, also if
+        the stream is not a terminal (as for standard error)."""
         self.behind = behind
-        """The stream without escapes, for our own control characters."""
+        """The underlying stream without escapes, for our own control characters."""
         self._unsafe = UNSAFE if is_for_people or behind.isatty() else CONTROLS
 
     def write(self, text: str) -> int:
@@ -72,18 +75,19 @@ class SafeStream:
 
 
 def stream_behind(stream: Any) -> Any:
-    """Return the stream that accepts control characters."""
+    """Return the underlying stream, which accepts control characters."""
     return stream.behind if isinstance(stream, SafeStream) else stream
 
 
 def counted(n: int, one: str, many: str = "") -> str:
-    """Return `1 stop`, `2 stops`; many: the plural if it is not `one` with an s."""
+    """Return a number with its noun, such as `1 stop` or `2 stops`. many: the plural if it is not
+    `one` with an s."""
     return f"{n} {one if n == 1 else many or one + 's'}"
 
 
 def clock(seconds: float) -> str:
-    """Return `4:02`, with hours if there are any; whole seconds that have passed, as a watch
-    shows.
+    """Return a time as minutes and seconds (`4:02`), with hours if there are any. Fractions of a
+    second are cut.
     """
     minutes, rest = divmod(int(max(seconds, 0.0) + 1e-6), 60)
     hours, minutes = divmod(minutes, 60)
@@ -91,14 +95,14 @@ def clock(seconds: float) -> str:
 
 
 def when_reached(name: str, seconds: float) -> str:
-    """Return when a state was reached: `usable after 4:02`; for a mount that was known before, from
-    the start.
+    """Return a text that states when a state was reached: `usable after 4:02`, or that the state
+    was reached from the start.
     """
     return f"{name} after {clock(seconds)}" if seconds >= 1.0 else f"{name} from the start"
 
 
 def duration(seconds: float) -> str:
-    """Return a length of time: `45 s`, `31 min`, `2.3 h`."""
+    """Return a duration as text: `45 s`, `31 min` or `2.3 h`."""
     if not math.isfinite(seconds):
         return "-"
     if seconds < 100.0:
@@ -115,10 +119,11 @@ def encodable(text: str) -> str:
 
 
 def json_text(content: Any, indent: int | None = None) -> str:
-    r"""Return JSON that UTF-8 can hold. Raises ValueError for NaN and infinity.
+    r"""Return JSON that can be encoded as UTF-8. Raises ValueError for NaN and infinity.
 
-    A lone surrogate becomes the letters ``\udcff`` within its string. Strict readers refuse it as a
-    JSON escape (``"\udcff"``), and readers that accept that escape cannot print the result.
+    A lone surrogate is replaced by the letters ``\udcff`` within its string. It is not written as a
+    JSON escape (``"\udcff"``): strict readers refuse such an escape, and other readers cannot print
+    the result.
     """
     text = json.dumps(content, indent=indent, allow_nan=False, ensure_ascii=False)
     return _LONE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)

@@ -1,8 +1,8 @@
 """Convert data of a YAML file to a typed structure.
 
-Every mistake is reported in one line: file, line, key, remedy. msgspec stops at the first mistake.
-Here msgspec checks the data field by field, so that all mistakes are reported together, each at its
-place.
+Each mistake is reported in one line: file, line, key, remedy. msgspec stops at the first mistake.
+Therefore this module lets msgspec check the data field by field, so that all mistakes are reported
+together.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ def typed(
     full: Any = None,
     at: Place = (),
 ) -> T:
-    """Return data as a value of a kind (a msgspec structure, or any type of a field).
+    """Convert data to a value of the type `kind` (a msgspec structure, or any type of a field).
 
-    full: the data with all short forms expanded, if they have any. at: the key of the data. Raises
-    ConfigError with one line for each mistake.
+    full: the data with all short forms expanded; None if there are no short forms. at: the key of
+    the data. Raises ConfigError with one line for each mistake.
     """
     infinite = [
         f"{document.located((*at, *place))}: must be a finite number, below {LARGEST:g}"
@@ -62,16 +62,14 @@ def typed(
 
 
 LARGEST: Final = 1e30
-"""Largest number allowed: squares and products of such numbers are finite."""
+"""Largest accepted number. Squares and products of such numbers are finite."""
 Place = tuple[str | int, ...]
 Marks = dict[Place, int]
-"""Line (from 1) of every key and item."""
+"""The line number (from 1) of every key and item."""
 
 
 def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
-    """Return the places of numbers that are infinite, NaN, or so large that results become
-    infinite.
-    """
+    """Return the places of numbers that are infinite, NaN, or larger than `LARGEST`."""
     if isinstance(data, float) and not abs(data) < LARGEST:
         yield place
     elif isinstance(data, dict | list):
@@ -80,7 +78,8 @@ def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
 
 
 def line_of(marks: Marks, place: Place) -> int:
-    """Return the line of a key, or of the nearest key around it."""
+    """Return the line of a key. If the key has no line, return the line of its nearest parent
+    key."""
     while place and place not in marks:
         place = place[:-1]
     return marks.get(place, 1)
@@ -97,8 +96,8 @@ def dotted(place: Place) -> str:
 class Document(NamedTuple):
     """Source of the data: the file's name, and the lines of its keys.
 
-    marks: empty if the data come from no text; then there is no line. whole: name of the file for
-    mistakes without a key.
+    marks: lines of the keys; empty if the data are not from a text. whole: text that names the
+    whole file, for mistakes without a key.
     """
 
     name: str
@@ -106,7 +105,8 @@ class Document(NamedTuple):
     whole: str = "configuration"
 
     def located(self, place: Place) -> str:
-        """Return file, line and key, the beginning of every reported mistake in a YAML file."""
+        """Return a text with file, line and key. Every reported mistake in a YAML file begins with
+        this text."""
         where = f"{self.name}:{line_of(self.marks, place)}" if self.marks else self.name
         return f"{where}: {dotted(place) or self.whole}"
 
@@ -123,7 +123,7 @@ _NAMES = {
 _BOUNDS = {">": "greater than", ">=": "at least", "<": "less than", "<=": "at most"}
 
 SHOWN_KEYS = 4
-"""Keys of a mapping that a message names."""
+"""Largest number of keys of a mapping that a message lists."""
 
 Mistake = tuple[Place, str]
 
@@ -138,10 +138,10 @@ def _fields(model: type[Struct]) -> tuple[msgspec.structs.FieldInfo, ...]:
 
 
 def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ()) -> Iterator[str]:
-    """Return one line for each mistake: file, line, key, reason, remedy.
+    """Yield one line for each mistake: file, line, key, reason, remedy.
 
-    full: the data as checked, with all short forms expanded; data: as written. kind: the required
-    type. at: the key of the data.
+    full: the checked data, with all short forms expanded. data: the data as written by the user.
+    kind: the required type. at: the key of the data.
     """
     reported: set[Mistake] = set()
     for long_place, reason in _mistakes(full, kind, ()):
@@ -152,7 +152,8 @@ def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ())
 
 
 def _real_place(long_place: Place, data: Any) -> Place:
-    """Remove what the expansion added to the path (the index of a single source, its key)."""
+    """Return the place in the data as written. Parts of the place that only the expansion of short
+    forms added are removed (the index of a single source, its key)."""
     place: list[str | int] = []
     here = data
     last = len(long_place) - 1
@@ -167,7 +168,7 @@ def _real_place(long_place: Place, data: Any) -> Place:
 
 
 def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
-    """Return the mistakes of a value that must have a kind (a type, with constraints)."""
+    """Yield the mistakes of a value that must have the type `kind` (with constraints)."""
     bare = _bare(kind)
     if value is None and NoneType in get_args(bare):
         return
@@ -182,7 +183,7 @@ def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
 
 
 def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
-    """Return the mistakes in the items of a mapping or list."""
+    """Yield the mistakes in the items of a mapping or list."""
     for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
         arguments = get_args(part)
         if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
@@ -234,14 +235,16 @@ def _reason(value: Any, kind: Any, text: str) -> str:
 
 
 def _numbers(kind: Any) -> int:
-    """Return how many numbers a list must have; 0 if the kind is no such list."""
+    """Return the number of items that a list of numbers must have; 0 if `kind` is not a list of
+    numbers with a fixed length."""
     parts = get_args(kind)
     is_list = get_origin(kind) is tuple and all(_bare(part) is float for part in parts)
     return len(parts) if is_list else 0
 
 
 def _is_number(value: str, text: str) -> bool:
-    """Return whether a required number is in quotes. text: message of msgspec."""
+    """Return whether the value is a number in quotes although a number without quotes is required.
+    text: message of msgspec."""
     if "`float`" not in text and "`int" not in text:
         return False
     try:
@@ -252,7 +255,7 @@ def _is_number(value: str, text: str) -> bool:
 
 
 def _keys(value: Any, kind: Any) -> str:
-    """Return the keys that a mapping would have, if another value is in its place."""
+    """Return a text with the keys of the required mapping, if the value is not a mapping."""
     if isinstance(value, dict) or not (isinstance(kind, type) and issubclass(kind, Struct)):
         return ""
     names = [field.name for field in _fields(kind)]
@@ -261,7 +264,7 @@ def _keys(value: Any, kind: Any) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a message of msgspec, such as "Expected `float` > 0.0", in the words of YAML."""
+    """Convert a message of msgspec, such as "Expected `float` > 0.0", to the terms of YAML."""
 
     def named(match: re.Match[str]) -> str:
         return " or ".join(_NAMES.get(name, name) for name in match[1].split(" | "))
@@ -280,7 +283,7 @@ def _is_union(kind: Any) -> bool:
 
 
 def _choices(kind: Any) -> tuple[Any, ...]:
-    """Return the values that a literal, or a union with one, allows."""
+    """Return the values that a type allows, if it is a Literal or a union with a Literal."""
     if get_origin(kind) is Literal:
         return get_args(kind)
     parts = get_args(kind) if _is_union(kind) else ()
@@ -289,5 +292,5 @@ def _choices(kind: Any) -> tuple[Any, ...]:
 
 @cache
 def _hints(model: type[Struct]) -> dict[str, Any]:
-    """Return the type of each key, including constraints."""
+    """Return the type of each key of a structure, including constraints."""
     return get_type_hints(model, include_extras=True)

@@ -1,5 +1,5 @@
-"""Convert YAML to plain data with line numbers: parsed now, or taken from the cache of the same
-text.
+"""Convert YAML text to plain data with line numbers. The text is parsed, or the result is read from
+the cache.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from imucald.core.files import read_regular
 from imucald.core.typed import Marks, Place
 
 MAX_FILE_BYTES = 1_000_000
-"""Largest accepted file: a thousand times a real one."""
+"""Largest accepted file [bytes]: a thousand times the size of a real configuration."""
 
 
 class Parsed(Struct):
-    """Content of a text, and the lines of its keys, as cached between runs."""
+    """The data of a YAML text and the lines of its keys, as stored in the cache."""
 
     data: Any
     marks: list[tuple[Place, int]]
@@ -28,9 +28,9 @@ class Parsed(Struct):
 def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
     """Parse YAML to plain data and the line of every key.
 
-    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they let a
-    small file expand without limit. Raises ConfigError with the line. The result is cached with the
-    databases, because importing a YAML parser takes a tenth of a restart.
+    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and a small
+    file could otherwise expand without limit. Raises ConfigError with the line. The result is
+    cached, because importing the YAML parser takes a tenth of the time of a restart.
     """
     source = f"yaml {name}"
     kept = file_cache.find(text, source, Parsed)
@@ -44,9 +44,10 @@ def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
 
 
 def read_yaml_file(path: Path, whole: str) -> tuple[Any, Marks]:
-    """Parse a file. whole: name of the kind of file, as "configuration".
+    """Parse a YAML file. whole: name for the kind of file, such as "configuration".
 
-    Raises ConfigError also if the file is too long, is not text or cannot be read.
+    Raises ConfigError if the YAML is wrong, or if the file is too long, is not text or cannot be
+    read.
     """
     try:
         data = read_regular(path, MAX_FILE_BYTES)

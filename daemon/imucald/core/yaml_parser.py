@@ -14,8 +14,8 @@ from imucald.core.typed import Marks, Place
 MAX_DEPTH = 30
 """Deepest accepted nesting."""
 MAX_EVENTS = 20_000
-"""Largest number of keys, values, brackets and their ends: thirty times those of a whole model
-file.
+"""Largest number of parser events (keys, values, beginnings and ends of collections): thirty times
+the number in a complete model file.
 """
 MAX_NUMBER = 64
 """Longest number [characters].
@@ -25,17 +25,18 @@ The time for numbers in base 60 (1:30:00) grows with the square of their length.
 
 _NESTED = "nested too deeply"
 _TOO_DEEP = "exceeded maximum nesting depth"
-"""Message of libyaml itself (first seen with PyYAML 6.0.4): it looks ahead of the events."""
+"""Message of libyaml for too deep nesting (since PyYAML 6.0.4). libyaml may detect deep nesting
+before this module does."""
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
-"""Numbers that YAML 1.1, unlike 1.2, reads as text: 1e-3."""
+"""Numbers such as 1e-3, which YAML 1.1 reads as text and YAML 1.2 reads as numbers."""
 
 
 def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
     """Parse YAML to plain data and the line of every key.
 
-    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they let a
-    small file expand without limit. Raises ConfigError with the line.
+    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and a small
+    file could otherwise expand without limit. Raises ConfigError with the line.
     """
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
@@ -61,9 +62,9 @@ def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
 
 
 def _refuse_heavy(text: str, loader: type, name: str) -> None:
-    """Refuse a too heavy text by looking at its events, one by one.
-
-    Composing them recurses, in C without any limit.
+    """Refuse a text that is nested too deeply or has too many events. The events are checked one by
+    one before the text is composed, because composing is recursive and the recursion in C has no
+    limit.
     """
     depth = 0
     for count, event in enumerate(yaml.parse(text, Loader=loader)):

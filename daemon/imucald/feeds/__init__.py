@@ -1,1 +1,2 @@
-"""Send imucald's results to MQTT, KUKSA or Foxglove. Feeds never run in the daemon's loop."""
+"""Send the results of a daemon to MQTT, KUKSA or Foxglove. Feeds run in a separate process, never
+in the daemon."""

@@ -1,4 +1,4 @@
-"""Read the corrected frames of a bus, with all checks of docs/output-frames.md."""
+"""Read the corrected frames on a bus. All checks that docs/output-frames.md requires are made."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ Triple = tuple[float, float, float]
 Attitude = tuple[float, float, float | None]
 
 STALE_S = 0.5
-"""Time without a good frame after which a value is not available [s]: five periods of 10 Hz."""
+"""Time without a good frame after which a value counts as not available [s]: five periods of 10
+Hz."""
 RESTORED, USABLE, FINE = 1, 2, 3
 GOOD = frozenset({USABLE, FINE})
-"""Qualities that are passed on."""
+"""Qualities of frames whose values are sent to receivers."""
 CHANNELS = {"accel": "acceleration", "gyro": "angular_rate"}
 """Channels of the engine, and their names in a feed."""
 ATTITUDE = "attitude"
@@ -32,7 +33,7 @@ class VectorMeans:
         self._sums: dict[str, list[float]] = {name: [0, 0.0, 0.0, 0.0] for name in names}
         self._lowest: dict[str, int] = {}
         self.quality: dict[str, int] = {}
-        """Lowest quality of the vectors in each mean."""
+        """Lowest quality among the vectors in each mean, by name."""
         self._newest: dict[str, Triple] = {}
         self._times = dict.fromkeys(self._sums, float("-inf"))
         self._ended: set[str] = set()
@@ -51,14 +52,15 @@ class VectorMeans:
         self._ended.discard(name)
 
     def end(self, name: str) -> None:
-        """Register that the sender itself says that the vector must not be used now."""
+        """Register that the sender marked a vector as not available."""
         self._newest.pop(name, None)
         self._ended.add(name)
 
     def means(self, now: float) -> Mapping[str, Triple | None]:
-        """Return the means since the last call, by name; None: not available.
+        """Return the means since the last call, by name; None means not available.
 
-        If no vector came since then, the previous mean is returned until it is too old or ended.
+        If no vector arrived since the last call, the previous mean is returned until it is too old
+        or `end` is called.
         """
         for name, (n, x, y, z) in self._sums.items():
             if n:
@@ -109,7 +111,7 @@ class CorrectedFrames:
         return [IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in self._by_id]
 
     def take_frame(self, t: float, can_id: int, data: bytes) -> None:
-        """Take a frame received at t [s], of the clock that `means` is asked with."""
+        """Process a frame that was received at t [s]. The clock must be the same as for `means`."""
         if can_id not in self._by_id:
             return
         name, message, checker = self._by_id[can_id]
@@ -135,11 +137,11 @@ class CorrectedFrames:
 
     @property
     def quality(self) -> Mapping[str, int]:
-        """Lowest quality of the samples in each mean."""
+        """Lowest quality among the samples in each mean, by name."""
         return self._means.quality
 
     def attitude(self, now: float) -> Attitude | None:
-        """Return roll, pitch and heading [deg] of the vehicle; None: not available."""
+        """Return roll, pitch and heading [deg] of the vehicle; None means not available."""
         t, angles = self._attitude
         return angles if now - t <= STALE_S else None
 
@@ -161,7 +163,7 @@ class RawSamples:
         return self._router.matches
 
     def take_frame(self, t: float, can_id: int, data: bytes) -> None:
-        """Take a frame received at t [s], of the clock that `means` is asked with."""
+        """Process a frame that was received at t [s]. The clock must be the same as for `means`."""
         for channel, values in self._router.frame(t, can_id, data)[0]:
             if channel == "accel":
                 self._means.add_vector(CHANNELS[channel], t, values)

@@ -28,10 +28,11 @@ Say = Callable[[str], None]
 class Reading:
     """The state at one time. at: wall clock [s]. status: as in `imucald status --json`, or None.
 
-    status is None if no daemon answers. is_new: whether the status was read just now. corrected:
-    x, y, z in vehicle axes by name ("acceleration" in m/s^2, "angular_rate" in deg/s); None: not
-    available. quality: the lowest of the frames in each of them. raw: the same as corrected, for
-    the raw samples, in the sensor's own axes. attitude: roll, pitch, heading of the vehicle [deg].
+    status is None if no daemon answers. is_new: True if the status was read for this reading.
+    corrected: x, y, z in vehicle axes by name ("acceleration" in m/s^2, "angular_rate" in deg/s);
+    None means not available. quality: the lowest quality of the frames for each name. raw: raw
+    samples in sensor axes, in the same form as corrected. attitude: roll, pitch, heading of the
+    vehicle [deg].
     """
 
     at: float
@@ -46,9 +47,9 @@ class Reading:
 class DaemonSource:
     """Reads one daemon. The daemon's status names the bus.
 
-    accepted: accepted qualities of corrected frames. config: None for the file that the daemon
-    names. wants_frames: if False, only the status is read. wants_raw: whether the sensor's raw
-    frames are read too.
+    accepted: accepted qualities of corrected frames. config: path of the configuration; None means
+    the path that the daemon's status states. wants_frames: if False, only the status is read.
+    wants_raw: whether the sensor's raw frames are read too.
     """
 
     def __init__(
@@ -123,7 +124,7 @@ class DaemonSource:
             self._open(Path(found["config"]), str(interface), str(channel))
 
     def _open(self, config: Path, interface: str, channel: str) -> None:
-        """Listen on the daemon's bus for its output identifiers."""
+        """Open the daemon's bus to receive the daemon's output frames."""
         try:
             loaded = load_config(self._config or config)
             frames = CorrectedFrames(loaded.config, self._accepted)

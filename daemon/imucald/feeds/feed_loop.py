@@ -1,4 +1,5 @@
-"""Send readings to a receiver. If it is absent, retry with increasing pauses."""
+"""Send readings to a receiver. If the receiver is not available, try again with increasing
+pauses."""
 
 from __future__ import annotations
 
@@ -15,10 +16,11 @@ LONGEST_PAUSE_S = 60.0
 
 
 def next_pause(pause: float, lasted: float) -> float:
-    """Return the next pause [s]. pause: the last pause (0: none). lasted: time connected [s].
+    """Return the pause before the next attempt to connect [s]. pause: the last pause (0: none).
+    lasted: duration of the last connection [s].
 
-    A connection shorter than the longest pause does not count as success. Therefore the pauses
-    increase for a receiver that accepts connections and drops them.
+    A connection shorter than the longest pause does not count as success. Therefore the pauses also
+    increase for a receiver that accepts connections and closes them again.
     """
     is_first = pause == 0.0 or lasted > LONGEST_PAUSE_S
     return FIRST_PAUSE_S if is_first else min(2.0 * pause, LONGEST_PAUSE_S)
@@ -37,7 +39,7 @@ class Source(Protocol):
 
 
 class Receiver(Protocol):
-    """A receiver of readings. The methods of a receiver raise ReceiverError."""
+    """Interface of a receiver of readings. `connect` and `publish` raise ReceiverError."""
 
     def connect(self) -> None:
         """Connect to the receiver."""
@@ -48,16 +50,18 @@ class Receiver(Protocol):
         ...
 
     def disconnect(self) -> None:
-        """Disconnect after an error; never raises."""
+        """Disconnect after an error. The call never raises an error."""
         ...
 
     def close(self) -> None:
-        """End the feed: report that no value is available any more; never raises."""
+        """End the feed: report to the receiver that no value is available any more. The call never
+        raises an error."""
         ...
 
 
 class Feed:
-    """Reads and publishes until it is stopped. Readings during an outage are not stored.
+    """Reads and publishes readings until the feed is stopped. Readings during an outage are not
+    stored.
 
     period: time between two readings [s].
     """
@@ -89,7 +93,7 @@ class Feed:
             self._receiver.close()
 
     def publish_once(self) -> None:
-        """Process one reading."""
+        """Read and publish one reading."""
         reading = self._source.read(self._period)
         if not self._is_connected and self._clock() < self._next_try:
             return

@@ -1,4 +1,5 @@
-"""Foxglove: a server of its WebSocket protocol. IMU (corrected, raw), attitude, mount, status.
+"""Foxglove: a server of the Foxglove WebSocket protocol. Topics: IMU (corrected, raw), attitude,
+mount, status.
 
 Topics, fields and frames are the same as in an MCAP file of `replay --write`.
 """
@@ -55,19 +56,20 @@ SCHEMAS: Mapping[str, Mapping[str, Any]] = {
         alarms={"type": "array", "items": {"type": "string"}},
     ),
 }
-"""JSON schemas of the topics; null is *not available*."""
+"""JSON schemas of the topics. The value null means *not available*."""
 
 
 @dataclass(frozen=True)
 class FoxgloveSettings:
-    """Settings of the server. host, port: its address; port 0: any free port."""
+    """Settings of the server. host, port: address of the server; port 0 means any free port."""
 
     host: str
     port: int
 
 
 class FoxgloveReceiver:
-    """A server with foxglove-sdk. Threads of the server handle the connections."""
+    """A receiver that publishes with a server of foxglove-sdk. Threads of the server handle the
+    connections."""
 
     def __init__(self, settings: FoxgloveSettings, say: Say) -> None:
         import foxglove  # noqa: PLC0415 - an extra
@@ -88,7 +90,7 @@ class FoxgloveReceiver:
 
     @property
     def port(self) -> int:
-        """The port of the server, once connected."""
+        """The port of the running server."""
         return int(self._server.port)
 
     def connect(self) -> None:
@@ -127,7 +129,8 @@ class FoxgloveReceiver:
 
 
 def contents(reading: Reading) -> dict[str, dict[str, Any]]:
-    """Return the messages by topic; mount and status only if the status is new."""
+    """Return the messages by topic. Messages for mount and status are returned only if the status
+    is new."""
     found: dict[str, dict[str, Any]] = {}
     for topic, frame, vectors in (
         ("/imu/data", "vehicle", reading.corrected),
@@ -156,10 +159,11 @@ def _vector(values: Triple | None, factor: float) -> dict[str, float | None]:
 
 
 def transforms(reading: Reading) -> dict[tuple[str, str], tuple[float, float, float, float]]:
-    """Return the quaternion w, x, y, z of a child frame in its parent, by (parent, child).
+    """Return the quaternions w, x, y, z from child frame to parent frame, by (parent, child).
 
-    The sensor in the vehicle is included if the mount is known, the vehicle in level axes if the
-    attitude is known (heading 0 if it is not known).
+    The result contains the sensor frame in the vehicle frame if the mount is known. It contains the
+    vehicle frame in the level frame if the attitude is known (heading 0 if the heading is not
+    known).
     """
     found: dict[tuple[str, str], tuple[float, float, float, float]] = {}
     if reading.is_new and reading.status is not None:

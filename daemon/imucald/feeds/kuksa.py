@@ -36,9 +36,10 @@ PATHS = [*(path for paths in VECTORS.values() for path in paths), *_STATUS]
 
 @dataclass(frozen=True)
 class KuksaSettings:
-    """Settings of the connection. host, port: of the databroker. token: path of the token file.
+    """Settings of the connection. host, port: address of the databroker. token: path of the token
+    file.
 
-    ca: path of the CA certificate for TLS. server_name: name in the server's certificate.
+    ca: path of the CA certificate for TLS. server_name: name in the certificate of the server.
     """
 
     host: str
@@ -63,8 +64,8 @@ class KuksaReceiver:
 
     @contextmanager
     def _errors_as_ours(self) -> Iterator[None]:
-        """Convert exceptions to ReceiverError. The library does not check types and answers of a
-        databroker, so wrong ones may cause any exception."""
+        """Context that converts exceptions to ReceiverError. The library does not check types and
+        answers of a databroker, so wrong types or answers may cause any exception."""
         try:
             yield
         except ReceiverError:
@@ -76,7 +77,7 @@ class KuksaReceiver:
             raise ReceiverError(f"{text}: {' '.join(str(error).split())[:200]}") from None
 
     def connect(self) -> None:
-        """Connect to the databroker, and find which of our signals it knows."""
+        """Connect to the databroker, and find the signals that the databroker knows."""
         with self._errors_as_ours():
             self._connect()
 
@@ -98,7 +99,8 @@ class KuksaReceiver:
         self._say(f"{self._broker} takes {len(self._types)} signals")
 
     def _type_of(self, path: str) -> Any:
-        """Return the data type of a signal. If it is unknown, return None and report it once."""
+        """Return the data type of a signal. If the signal is unknown, return None and report the
+        signal once."""
         try:
             return self._client.get_value_types([path], timeout=CALL_S)[path]
         except self._library.VSSClientError as error:
@@ -140,7 +142,7 @@ class KuksaReceiver:
             self._client = None
 
     def close(self) -> None:
-        """Set all values to not available, so that none looks like a present value."""
+        """Set all values to not available, so that no old value looks like a present value."""
         if self._client is not None:
             try:
                 self._set(dict.fromkeys(self._types))
@@ -163,7 +165,7 @@ NOT_FOUND = 404
 
 
 def vss_values(reading: Reading) -> dict[str, Any]:
-    """Return the values by VSS path; None: not available."""
+    """Return the values by VSS path; None means not available."""
     values: dict[str, Any] = {}
     for name, paths in VECTORS.items():
         if name in reading.corrected:

@@ -23,7 +23,7 @@ KEEPALIVE_S = 10
 """Keep-alive time [s]. After 1.5 times this time without data, the broker sends the last will."""
 PACKET_MAX = 4
 """Longest packet accepted from a broker [bytes]. Only acknowledgements are expected. Messages that
-paho would store (QoS 2) are longer."""
+paho would store (QoS 2) are longer, so they are refused."""
 SENT_AHEAD = 1 << 14
 """Largest send buffer in the kernel for a slow broker [bytes]: some seconds of values."""
 UNITS = {"acceleration": "m/s2", "angular_rate": "deg/s"}
@@ -31,7 +31,8 @@ UNITS = {"acceleration": "m/s2", "angular_rate": "deg/s"}
 
 @dataclass(frozen=True)
 class MqttSettings:
-    """Settings. host, port: of the broker. topic: prefix of all topics. ca: CA file for TLS."""
+    """Settings of the connection. host, port: address of the broker. topic: prefix of all topics.
+    ca: path of the CA certificate for TLS."""
 
     host: str
     port: int
@@ -49,7 +50,7 @@ class MqttReceiver:
 
         class BoundedClient(Client):
             """A client with a limit of the packet length, because paho stores packets of any
-            length. The client also survives invalid packets, which would end paho's thread."""
+            length. Invalid packets, which would end the thread of paho, are ignored."""
 
             def _sock_recv(self, bufsize: int) -> bytes:
                 if bufsize > PACKET_MAX:
@@ -86,13 +87,13 @@ class MqttReceiver:
         self._client = client
 
     def connect(self) -> None:
-        """Make the library connect, and reconnect after each loss."""
+        """Start the connection. The library reconnects after each loss of the connection."""
         settings = self._settings
         self._client.connect_async(settings.host, settings.port, KEEPALIVE_S)
         self._client.loop_start()
 
     def publish(self, reading: Reading) -> None:
-        """Send a reading. Without a connection it is dropped and never sent late."""
+        """Send a reading. Without a connection, the reading is dropped and never sent later."""
         if not self._client.is_connected():
             return
         if reading.is_new:
@@ -117,8 +118,8 @@ class MqttReceiver:
         self._put(name, json_text(content), 0, retain)
 
     def _put(self, name: str, text: str, qos: int, retain: bool) -> None:
-        """Publish, unless the last message of the topic is still waiting. For a slow broker, paho
-        would store all messages and send them late."""
+        """Publish a message, unless the last message of the topic is still waiting. Without this
+        limit, paho would store all messages for a slow broker and send them late."""
         if name not in self._leaving or _has_left(self._leaving[name]):
             self._leaving[name] = self._client.publish(self._topic(name), text, qos, retain)
 
@@ -164,7 +165,8 @@ def _has_left(message: Any) -> bool:
 def corrected_content(
     name: str, values: tuple[float, float, float] | None, quality: int, at: float
 ) -> dict[str, Any]:
-    """Return the content for the topic of a corrected vector; null if not available."""
+    """Return the JSON content for the topic of a corrected vector. The values are null if not
+    available."""
     x, y, z = (None, None, None) if values is None else (round(v, 4) for v in values)
     shown = QUALITIES[0 if values is None else quality]
     return {"at": round(at, 3), "x": x, "y": y, "z": z, "unit": UNITS[name], "quality": shown}

@@ -12,7 +12,8 @@ QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
 
 
 def status_content(at: float, status: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return state, mount with ± (95 %), and waiting reasons; `running` is false without daemon.
+    """Return state, mount with ± (95 %), and missing evidence. `running` is false if no daemon
+    answers.
 
     at: wall clock [s]. status: see `daemon_source.Reading`.
     """

@@ -1,2 +1,2 @@
-"""Thousands of logs of hundreds of vehicles: each log is evaluated separately, then all results are
-analysed together."""
+"""Evaluation of thousands of logs from hundreds of vehicles: each log is evaluated separately, then
+all results are analysed together."""

@@ -8,7 +8,8 @@ from imucald.fleet.columns import Column, floats, texts
 
 
 def _xyz(unit: str, meaning: str, form: str) -> tuple[Column, ...]:
-    """Three columns, about the vehicle's axes; form has {} for the axis."""
+    """Return three columns, one for each axis of the vehicle. form: name of the columns with {} for
+    the axis."""
     return floats(unit, meaning, *(form.format(axis) for axis in "xyz"))
 
 
@@ -147,4 +148,5 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *floats("", "of the type's drives", "share"),
     ),
 }
-"""Every analysis writes all these tables again completely."""
+"""The columns of each table under `analysis/`. Every analysis writes all these tables again
+completely."""

@@ -1,9 +1,9 @@
-"""A configuration with the content of all files it refers to; it is sent to each worker once per
-run.
+"""A bundle: a configuration with the content of all files that it names. A bundle is sent to each
+worker once per run.
 
-Paths are not valid on another machine. Therefore a bundle holds the bytes of the configuration, its
-databases and its model file. The name of a bundle is the hash of these bytes, which also identifies
-the configuration that a drive was evaluated with.
+Paths are not valid on another machine. Therefore a bundle contains the bytes of the configuration,
+its databases and its model file. The name of a bundle is the hash of these bytes. The same hash
+identifies the configuration in the results of a drive.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ KEY_DIGITS = 16
 
 
 class Bundle(msgspec.Struct, frozen=True):
-    """One configuration: its file, its databases in order, its model file."""
+    """One configuration: the content of its file, of its databases (in order) and of its model
+    file."""
 
     config: bytes
     config_name: str
     databases: tuple[tuple[str, bytes], ...]
     model: bytes | None = None
     warnings: tuple[str, ...] = ()
-    """One line for each key that has no effect."""
+    """One line for each key of the configuration that has no effect."""
 
     @property
     def name(self) -> str:
@@ -49,7 +50,8 @@ class Bundle(msgspec.Struct, frozen=True):
 
 
 def bundle_of(config: Path, databases: Iterable[Path] = ()) -> Bundle:
-    """Read a configuration and the files it names. Raises ConfigError if it could not be run."""
+    """Read a configuration and the files that it names. Raises ConfigError if `imucald run` would
+    refuse the configuration."""
     loaded = open_config(config, list(databases))
     make_engine(loaded)
     paths = [loaded.database_path(entry) for entry in loaded.config.database]
@@ -73,11 +75,11 @@ class _Folder:
 
 
 FOLDER_VARIABLE = "IMUCALD_FLEET_BUNDLES"
-"""Environment variable that gives children the folder of their worker's unpacked bundles."""
+"""Environment variable with the folder of a worker's unpacked bundles, for child processes."""
 
 
 def unpack(bundles: Mapping[str, Bundle]) -> None:
-    """Write bundles to the folder in which the children of this process look for them."""
+    """Write bundles to the folder from which the child processes of this process read them."""
     with _Folder.lock:
         if _Folder.path is None:
             _Folder.path = Path(tempfile.mkdtemp(prefix="imucald-fleet-"))
@@ -106,7 +108,8 @@ def _write(bundle: Bundle, folder: Path) -> None:
 
 
 def load_bundle(name: str) -> Configuration:
-    """The configuration of a bundle that was unpacked. Raises ConfigError if there is none."""
+    """Return the configuration of an unpacked bundle. Raises ConfigError if there is no such
+    bundle."""
     folder = Path(os.environ.get(FOLDER_VARIABLE, "/nowhere")) / name
     if not folder.is_dir():
         raise ConfigError(f"this worker has no configuration {name}, since it joined another run")
@@ -122,7 +125,8 @@ def load_bundle(name: str) -> Configuration:
 
 @cache
 def code_hash() -> str:
-    """Hash of this package's source code: a worker with different code may give different rows."""
+    """Return a hash of the source code of this package. A worker with different code may give
+    different rows."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

@@ -1,8 +1,8 @@
-"""Keep one child process within its limits and report how it ended.
+"""The keeper process: it limits one child process and reports the result.
 
-The template forks a keeper for each task, the keeper forks the child that evaluates the log. A
-child may hang, use too much memory or crash in C code. The keeper only waits, so it can report all
-of these. Each process ends when the process that started it ends.
+The template process forks a keeper for each task, and the keeper forks the child that evaluates the
+log. A child may hang, use too much memory or crash in C code. The keeper only waits for the child,
+so it can report all these failures. Each process ends when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -27,16 +27,18 @@ from imucald.fleet.process_limits import die_with, limit_memory
 from imucald.fleet.task import Cost, Outcome, Task, encoded
 
 MAX_ANSWER = 64 * 2**20
-"""Largest answer of a child [bytes]; the events of a day need far less."""
+"""Largest accepted answer of a child [bytes]. The events of a whole day need far fewer bytes."""
 LAST_WORDS = 4000
-"""Number of bytes of standard error that are kept."""
+"""Number of bytes at the end of standard error that are kept."""
 DYING_S = 5.0
-"""Longest wait for a killed child: a process that waits for storage does not end at once."""
+"""Longest wait for the end of a killed child [s]. A process that waits for storage does not end at
+once."""
 BLOCK = 2**16
 
 
 def keep(asked: socket.socket, template: int) -> NoReturn:
-    """Run the task received from the socket, answer through it, and end this process."""
+    """Run the task received from the socket, send the outcome through the socket, and end this
+    process."""
     status = 1
     try:
         die_with(template)
@@ -82,7 +84,7 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
 
 
 def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tuple[bytes, bool]:
-    """Return the child's answer, and whether it ended by itself within its time limit."""
+    """Return the child's answer, and whether the child ended by itself within its time limit."""
     poll = select.poll()
     poll.register(answers, select.POLLIN)
     poll.register(asked, select.POLLHUP | select.POLLERR)
@@ -101,7 +103,8 @@ def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tupl
 
 
 def _reaped(child: int) -> tuple[int, float, int] | None:
-    """Exit status, processor time [s] and peak memory [bytes]; None if the child does not end."""
+    """Wait for the end of a child. Return exit status, processor time [s] and peak memory [bytes];
+    None if the child does not end."""
     until = time.monotonic() + DYING_S
     while time.monotonic() < until:
         pid, status, usage = os.wait4(child, os.WNOHANG)
@@ -133,14 +136,15 @@ def _verdict(answered: bytes, ended: bool, status: int, task: Task, words: str) 
 
 
 def _stack(words: str) -> str:
-    """The lines of standard error without thread addresses, so that equal crashes give equal
-    text."""
+    """Return the lines of standard error without lines with addresses, so that equal crashes give
+    equal texts."""
     kept = [line for line in words.splitlines() if "0x" not in line]
     return "\n".join(kept)
 
 
 def _become_child(task: Task, keeper: int, answer: int, words: int) -> NoReturn:
-    """Evaluate, answer, end; never return to the keeper's code."""
+    """Evaluate the log, send the answer, and end the process. The function never returns to the
+    code of the keeper."""
     try:
         with contextlib.suppress(OSError):
             os.setpgid(0, 0)

@@ -14,7 +14,7 @@ Kind = Literal["text", "time", "float", "integer", "short", "flag", "float32", "
 
 
 class Column(NamedTuple):
-    """One column; unit is empty if there is none."""
+    """One column. The unit is empty if the column has no unit."""
 
     name: str
     kind: Kind
@@ -23,12 +23,12 @@ class Column(NamedTuple):
 
 
 def floats(unit: str, meaning: str, *names: str) -> tuple[Column, ...]:
-    """Columns of numbers with one common unit."""
+    """Return columns of numbers with a common unit."""
     return tuple(Column(name, "float", unit, meaning) for name in names)
 
 
 def texts(**meanings: str) -> tuple[Column, ...]:
-    """Columns of text by name."""
+    """Return columns of text. meanings: the meaning of each column, by name."""
     return tuple(Column(name, "text", "", meaning) for name, meaning in meanings.items())
 
 
@@ -152,7 +152,7 @@ ORDER: Final = {
 
 
 def row_of(table: str, values: dict[str, object]) -> dict[str, object]:
-    """A row with every column of its table; missing values are null."""
+    """Return a row with every column of a table. Missing values are null."""
     found = {column.name: values.get(column.name) for column in TABLES[table]}
     found["schema_version"] = VERSION
     return found

@@ -1,5 +1,5 @@
-"""Merge the parts of a run into the finished tables; the result does not depend on the order of
-arrival."""
+"""Merge the parts of a run into the finished tables. The result does not depend on the order in
+which the logs were evaluated."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from imucald.fleet.task import OK
 
 
 def read_tables(store: Store, names: Sequence[str] = tuple(TABLES)) -> dict[str, pa.Table]:
-    """The tables in their present state, including parts of a running or interrupted run."""
+    """Return the tables in their present state, including the parts of a running or interrupted
+    run."""
     return {name: rows.table() for name, rows in _tables(store, names)}
 
 
 def _tables(store: Store, names: Sequence[str]) -> Iterator[tuple[str, FinishedRows]]:
-    """Yield one table after the other, because all together may need more memory than a driver may
-    use."""
+    """Yield the tables one after the other, because all tables together may need too much
+    memory."""
     sources, numbers = read_with_parts(store, "sources")
     last = _last(sources.column("source").to_pylist(), numbers)
     outcomes = FinishedRows("sources", sources, last)
@@ -45,7 +46,7 @@ def _tables(store: Store, names: Sequence[str]) -> Iterator[tuple[str, FinishedR
 
 
 def compact(store: Store) -> None:
-    """Write the finished tables and delete the parts they are made of."""
+    """Write the finished tables, and delete the parts from which they were made."""
     old = {name: [file for n, file in parts(store, name) if n > 0] for name in TABLES}
     if not any(old.values()):
         return
@@ -61,7 +62,8 @@ def compact(store: Store) -> None:
 
 
 def _last(keys: Sequence[object], numbers: Sequence[int]) -> list[int]:
-    """Index of the valid row for each key: the last row with the highest number."""
+    """Return the index of the valid row for each key: the last row with the highest flush
+    number."""
     best: dict[object, int] = {}
     for index, key in enumerate(keys):
         if key not in best or numbers[index] >= numbers[best[key]]:
@@ -86,7 +88,8 @@ def _failures(store: Store, sources: pa.Table) -> FinishedRows:
 def _drives(
     store: Store, sources: pa.Table
 ) -> tuple[FinishedRows, dict[str, tuple[int, str | None]]]:
-    """The rows of drives, and by log_key the number of the row's flush and its vehicle."""
+    """Return the valid rows of drives. Also return for each log_key the flush number and the
+    vehicle of its row."""
     addresses: dict[str, list[str]] = {}
     columns = (sources.column(name).to_pylist() for name in ("source", "log_key", "outcome"))
     for source, key, outcome in zip(*columns, strict=True):
@@ -109,7 +112,7 @@ def _drives(
 
 
 def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> FinishedRows:
-    """The events of the same flush as the valid rows of drives."""
+    """Return the events that were written in the same flush as the valid rows of drives."""
     rows, numbers = read_with_parts(store, "events")
     keys = rows.column("log_key").to_pylist()
     came = {key: number for key, (number, _) in of_drive.items()}

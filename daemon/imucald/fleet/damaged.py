@@ -1,4 +1,4 @@
-"""Set damaged tables of a fleet aside, so that their logs are evaluated again."""
+"""Move damaged tables of a fleet to another folder, so that their logs are evaluated again."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from imucald.fleet.store import Store
 from imucald.fleet.tables import DamagedTableError, parts, read_file
 
 ASIDE = "_damaged"
-"""Folder for files that are set aside; readers of tables ignore it."""
+"""Folder for damaged files. Readers of tables ignore this folder."""
 
 
 def set_damaged_aside(store: Store) -> list[str]:
-    """Set damaged files of the tables aside. Returns one line of text for each. Only the holder of
-    the lease may call it.
+    """Move damaged files of the tables to the folder `ASIDE`. Return one line of text for each
+    file. Only the holder of the lease may call this function.
 
-    The rows of `drives` that came with a damaged file of `events` are set aside too. So
-    `known_sources` does not find their logs, and they are evaluated again.
+    If a file of `events` is damaged, the rows of `drives` from the same flush are moved too. Then
+    `known_sources` does not find the logs of these rows, and the logs are evaluated again.
     """
     said = []
     for table in TABLES:

@@ -24,12 +24,12 @@ from imucald.fleet.workers import Futures, outcome_of, run_one_log, unique_keys
 
 CONNECTING_S = 30.0
 WORKERS_S = 60.0
-"""Longest wait for the first worker."""
+"""Longest wait for the first worker [s]."""
 TRIES, AGAIN_S = 5, 1.0
 """Number of tries, and pause between them, to prepare the workers of a changing cluster."""
 GONE = ("closed", "closing", "failed", "connecting")
-"""States of a client that has lost its scheduler. The client would wait for a new scheduler, which
-does not know the tasks."""
+"""States of a client that has lost its scheduler. The client would wait for a new scheduler, but a
+new scheduler does not know the tasks."""
 SCHEDULER_GONE = (
     "the Dask scheduler has ended; start it again, then run the same command to continue"
 )
@@ -39,14 +39,14 @@ PLUGIN = "imucald-fleet"
 
 @dataclass(frozen=True)
 class TlsFiles:
-    """PEM files: certificate authority, this client's certificate and key."""
+    """Paths of PEM files: certificate authority, certificate of this client, key of this client."""
 
     ca: str
     certificate: str
     key: str
 
     def security(self) -> Security:
-        """The same as Dask's object; all connections are encrypted."""
+        """Return the files as the object `Security` of Dask. All connections are encrypted."""
         return Security(  # type: ignore[no-untyped-call]
             tls_ca_file=self.ca,
             tls_client_cert=self.certificate,
@@ -56,11 +56,11 @@ class TlsFiles:
 
 
 _client: Any = Client
-"""Dask's client has no types."""
+"""The class of Dask's client, as Any because it has no type hints."""
 
 
 class BundlePlugin(WorkerPlugin):
-    """Sends the configurations' content to each worker, also to one that joins later."""
+    """Sends the bundles to each worker, including workers that join later."""
 
     name = PLUGIN
 
@@ -68,13 +68,15 @@ class BundlePlugin(WorkerPlugin):
         self._bundles = dict(bundles)
 
     def setup(self, worker: Worker) -> None:
-        """Unpack the bundles in the folder where children of this worker look for them."""
+        """Unpack the bundles in the folder from which the child processes of this worker read
+        them."""
         unpack(self._bundles)
         close_templates()  # a template that runs already does not know the folder
 
 
 def about_worker() -> dict[str, str]:
-    """Versions that must be equal on driver and workers so that the rows are equal."""
+    """Return the versions that must be equal on driver and workers, so that all rows are computed
+    in the same way."""
     return {
         "imucald": __version__,
         "code of imucald": code_hash(),
@@ -85,7 +87,7 @@ def about_worker() -> dict[str, str]:
 
 
 class DaskWorkers:
-    """The workers of one cluster. Raises ImucaldError if it cannot be used."""
+    """The workers of one Dask cluster. Raises ImucaldError if the cluster cannot be used."""
 
     def __init__(
         self, address: str, bundles: Mapping[str, Bundle], tls: TlsFiles | None = None
@@ -108,7 +110,7 @@ class DaskWorkers:
             raise
 
     def _prepared(self, address: str, bundles: Mapping[str, Bundle]) -> None:
-        """Prepare the workers; if one disappears meanwhile, try again."""
+        """Prepare the workers. If a worker disappears in the meantime, try again."""
         for left in reversed(range(TRIES)):
             try:
                 self._prepare(address, bundles)
@@ -153,7 +155,7 @@ class DaskWorkers:
         return max(1, sum(threads.values()))
 
     def submit(self, tasks: Sequence[Task]) -> None:
-        """Take tasks."""
+        """Submit tasks to the cluster."""
         keys = unique_keys(len(tasks))
         with self._scheduler_asked():
             futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
@@ -161,7 +163,7 @@ class DaskWorkers:
             self._futures.add_future(future, task)
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
-        """Outcomes since the last call; their data on the cluster is released."""
+        """Return the outcomes since the last call, and release their data on the cluster."""
         found = []
         with self._scheduler_asked():
             pass
@@ -171,17 +173,18 @@ class DaskWorkers:
         return found
 
     def call_back(self) -> None:
-        """Does nothing: Dask does not report which of its few waiting tasks have begun."""
+        """Do nothing, because Dask does not report which of its few waiting tasks have begun."""
 
     def close(self) -> None:
-        """Leave the cluster; do not wait if its scheduler is gone."""
+        """Disconnect from the cluster. Do not wait if the scheduler is gone."""
         is_gone = self._client.status in GONE
         with contextlib.suppress(OSError, TimeoutError, RuntimeError):
             self._client.close(timeout=0 if is_gone else CLOSING_S)
 
     @contextlib.contextmanager
     def _scheduler_asked(self) -> Iterator[None]:
-        """Raise ImucaldError if the scheduler is gone (Dask's CommClosedError: OSError)."""
+        """Context for requests to the scheduler. Raises ImucaldError if the scheduler is gone
+        (Dask's CommClosedError, an OSError)."""
         if self._client.status in GONE:
             raise ImucaldError(SCHEDULER_GONE)
         try:

@@ -1,4 +1,4 @@
-"""The result of one replay as rows of the tables."""
+"""Convert the result of one replay to rows of the tables."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from imucald.fleet.task import Task
 from imucald.mount.mount_words import is_move
 
 EARLIEST = 946_684_800.0
-"""1 January 2000 as UNIX time [s]: a logger with earlier times has no clock."""
+"""1 January 2000 as UNIX time [s]. A logger with earlier time stamps counts as a logger without a
+clock."""
 LATEST = 4_102_444_800.0
-"""1 January 2100."""
+"""1 January 2100 as UNIX time [s]. A logger with later time stamps counts as a logger without a
+clock."""
 
 
 def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
-    """The row of a drive without its names (vehicle, day, source); times as UNIX time [s]."""
+    """Return the row of a drive without its names (vehicle, day, source). Times are UNIX times
+    [s]."""
     result = drive.to_dict()
     mount = result["mount"]
     start, end = known_times(drive)
@@ -62,7 +65,8 @@ def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
 def drive_values(
     fleet: Fleet, task: Task, log_key: str | None, drive: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The row with its names, by the rules of the fleet on the day of the drive."""
+    """Return the row of a drive with its names. The names follow from the rules of the fleet for
+    the day of the drive."""
     day = day_of(drive["start"]) or task.date
     facts = fleet.facts(task.vehicle, day)
     return {
@@ -77,8 +81,8 @@ def drive_values(
 
 
 def known_times(drive: DriveResult) -> tuple[float | None, float | None]:
-    """Times of the first and last used frame as UNIX time [s]; None for a logger without a
-    clock."""
+    """Return the times of the first and the last used frame as UNIX time [s]; None for a logger
+    without a clock."""
     if drive.start_us is None or drive.end_us is None:
         return None, None
     start, end = drive.start_us / 1e6, drive.end_us / 1e6
@@ -86,12 +90,14 @@ def known_times(drive: DriveResult) -> tuple[float | None, float | None]:
 
 
 REJECTED_SHARE = 0.001
-"""A reason for rejected frames counts as a cause from this share of frames. A healthy bus has none,
-and a single burst at the start of a log stays below."""
+"""A reason for rejected frames counts as a cause if at least this share of frames was rejected. On
+a healthy bus, no frames are rejected; a single burst at the start of a log gives a smaller share.
+"""
 
 
 def _causes(result: Mapping[str, Any]) -> Iterator[str]:
-    """Faults of the drive by name: sensors, contradictions, a mount that moved, bad frames."""
+    """Yield the names of the faults in a drive: faulty sensors, contradictions between signals, a
+    moved sensor, rejected frames."""
     for event in result["signal_health"]["events"]:
         yield f"{event['sensor']} {event['fault']}"
     for fault in result["details"].get("faults", ()):
@@ -107,12 +113,12 @@ def _causes(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def day_of(start: float | None) -> str | None:
-    """The day (ISO, UTC) of a UNIX time [s]."""
+    """Return the day (ISO, UTC) of a UNIX time [s]."""
     return None if start is None else datetime.fromtimestamp(start, UTC).date().isoformat()
 
 
 def event_rows(events: Columns, has_clock: bool) -> list[dict[str, Any]]:
-    """The rows of `events` of a drive, without its names; NaN becomes null."""
+    """Return the rows of `events` of a drive, without the names of the drive. NaN becomes null."""
     names = [column.name for column in events.columns]
     rows = []
     for values in zip(*(array.tolist() for array in events.arrays), strict=True):

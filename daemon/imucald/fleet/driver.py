@@ -24,13 +24,14 @@ from imucald.fleet.task import OK, ONCE_MORE, OTHER_CODE, Outcome, Task
 from imucald.fleet.workers import Workers
 
 AHEAD = 2
-"""Tasks handed out per running task: enough that no worker waits, and few that remain at the
-end."""
+"""Number of submitted tasks per running task. With this number, no worker waits, and few tasks wait
+at the end."""
 FLUSH_ROWS = 500
 FLUSH_S = 60.0
 LOOK_S = 0.5
 ALL_ALIKE = SAMPLE
-"""If this many first logs all fail for one reason, the run is wrong, not the logs."""
+"""If this number of first logs all fail for the same reason, the run is aborted: the cause is not
+in the logs."""
 TRIES = 2
 
 ORDER_OF_WRITING = ("costs", "events", "failures", "drives", "sources")
@@ -49,8 +50,8 @@ class Counts(msgspec.Struct):
 
     @property
     def left_s(self) -> float | None:
-        """Estimated remaining time [s], from the bytes processed so far; None before the first
-        ones."""
+        """Estimated remaining time [s], from the number of bytes processed so far; None before the
+        first log is finished."""
         if self.bytes_done <= 0 or self.done < 1:
             return None
         passed = time.monotonic() - self.began
@@ -62,7 +63,7 @@ class AllFailedError(ImucaldError):
 
 
 class FleetRun:
-    """One run into one folder. `go` performs it; an object is used only once."""
+    """One run that writes to one folder. `go` performs the run. An object is used only once."""
 
     def __init__(
         self,
@@ -84,11 +85,11 @@ class FleetRun:
         self.counts = Counts(len(plan.tasks), plan.bytes)
 
     def stop(self) -> None:
-        """Begin no further log; running ones are finished (called by a signal handler)."""
+        """Begin no further logs. Logs in progress are finished. Called by a signal handler."""
         self.counts.stopping = True
 
     def go(self, lease: Lease) -> bool:
-        """Evaluate all logs; returns whether none is left. Raises AllFailedError, and ImucaldError
+        """Evaluate all logs. Return whether no log is left. Raises AllFailedError, and ImucaldError
         for storage errors."""
         self._store.tidy()
         self._number = max(
@@ -159,8 +160,8 @@ class FleetRun:
             self._take_failure(task, outcome, attempt)
 
     def _that_fits(self, task: Task, outcome: Outcome) -> Outcome:
-        """The outcome, or a `bug` outcome if its rows do not fit a table, so that rows of other
-        logs are kept."""
+        """Return the outcome. If its rows do not fit a table, return an outcome of the kind `bug`
+        instead, so that the rows of other logs can be written."""
         if outcome.drive is None:
             return outcome
         try:

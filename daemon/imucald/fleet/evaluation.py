@@ -1,4 +1,4 @@
-"""The work of the child process: evaluate one log to one row."""
+"""The work of a child process: evaluate one log, and return the result as a row."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' s
 def evaluate(task: Task, also: Also | None = None) -> Outcome:
     """Replay a single log without a saved state, and return the outcome.
 
-    also: gives more columns of the drive.
+    also: function that returns additional columns of the drive.
 
-    The row depends only on the log's content, the configuration and the code. The result does not
-    depend on the vehicle's other drives, the order of the logs or the machine.
+    The row depends only on the content of the log, the configuration and the code. It does not
+    depend on other drives of the vehicle, the order of the logs or the machine.
     """
     if task.code and task.code != code_hash():
         return Outcome(OTHER_CODE)
@@ -70,7 +70,8 @@ def _replayed(
 
 
 def _named(error: LogError, path: Path, task: Task) -> str:
-    """Text of the error with the log's address instead of its local copy's."""
+    """Return the text of an error, with the address of the log instead of the path of its local
+    copy."""
     return str(error).replace(str(path), task.source)
 
 

@@ -21,32 +21,33 @@ from imucald.fleet.bundle import KEY_DIGITS
 BLOCK = 2**20
 TRIES = 3
 WAIT_S = 0.5
-"""Pause before the second try [s]; it doubles before each further try."""
+"""Pause before the second attempt [s]. The pause doubles before each further attempt."""
 MAX_BYTES = 64 * 2**30
-"""Largest size of a copied log: a wrong address must not fill the disk."""
+"""Largest size of a copied log [bytes], so that a wrong address does not fill the disk."""
 LOCAL = ("file", "local")
 
 
 class StorageError(ImucaldError):
-    """A log could not be fetched; has the reason and the address."""
+    """A log could not be fetched. The text states the reason and the address."""
 
 
 class NoRegularFileError(ImucaldError):
-    """The log's name belongs to a pipe, a device or a folder."""
+    """The path of a log is not a regular file but a pipe, a device or a folder."""
 
 
 def protocol_of(url: str) -> str:
-    """Protocol of a URL; "file" if it has none."""
+    """Return the protocol of a URL; "file" if it has none."""
     return url.partition("://")[0] if "://" in url else "file"
 
 
 def bare_path(url: str) -> str:
-    """The path of a local URL."""
+    """Return the path of a local URL."""
     return url.partition("://")[2] if "://" in url else url
 
 
 def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.AbstractFileSystem:
-    """The file system of a URL. Raises StorageError if its package is missing."""
+    """Return the file system of a URL. Raises StorageError if the Python package for its protocol
+    is missing."""
     protocol = protocol_of(url)
     try:
         return fsspec.filesystem(protocol, **storage.get(protocol, {}))
@@ -60,8 +61,9 @@ def local_copy(
 ) -> Iterator[tuple[Path, str]]:
     """Yield path and key (hash of the content) of a log.
 
-    within: folder that must contain a local log after following links. Raises NoRegularFileError,
-    also for a link that leads out of the folder, and StorageError.
+    within: folder that must contain a local log after links are followed. Raises NoRegularFileError
+    if the log is not a regular file, or if a link leads out of the folder. Raises StorageError if
+    the log cannot be fetched.
     """
     with tempfile.TemporaryDirectory(prefix="imucald-log-") as folder:
         path = Path(folder) / url.rpartition("/")[2]
@@ -74,12 +76,14 @@ def local_copy(
 
 
 def _held(file: IO[bytes]) -> str:
-    """A path to an open file that stays valid even if another file takes its name."""
+    """Return a path to an open file. The path stays valid even if another file gets the name of
+    this file."""
     return f"/proc/{os.getpid()}/fd/{file.fileno()}"
 
 
 def _opened(path: Path, within: str | None) -> IO[bytes]:
-    """Open a local log. A supplier of logs must not get access to other files through links."""
+    """Open a local log. Links out of the folder are refused, so that a supplier of logs cannot get
+    access to other files."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise NoRegularFileError(

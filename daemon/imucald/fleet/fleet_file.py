@@ -1,5 +1,5 @@
-"""fleet.yaml: the places of the logs, the vehicle of each log, and the configuration for its
-evaluation."""
+"""fleet.yaml: the addresses of the logs, the rule for the vehicle of each log, and the
+configuration for the evaluation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from imucald.fleet.bundle import Bundle, bundle_of
 
 _WHOLE = "fleet file"
 DEFAULT_RULE = r"(?P<vehicle>[^/]+)/[^/]+$"
-"""Default rule: the folder of the log is the vehicle."""
+"""Default rule: the name of the log's folder is the name of the vehicle."""
 _DATE = re.compile(r"(\d{4})[-_/.]?(\d\d)[-_/.]?(\d\d)")
 COLUMNS = ("type", "sensor_serial", "sensor_batch", "firmware")
 
@@ -28,9 +28,10 @@ class FleetSettings(Settings, frozen=True, kw_only=True):
     """The content of fleet.yaml."""
 
     logs: str | tuple[str, ...]
-    """Addresses with wildcards (`**` for folders of any depth), or lists ending in .csv or .txt."""
+    """Addresses of logs with wildcards (`**` for folders of any depth), or files with lists of logs
+    (.csv or .txt)."""
     config: str
-    """Configuration for all vehicles whose type has no own configuration."""
+    """Configuration for all vehicles whose type is not in `configs`."""
     configs: dict[str, str] = msgspec.field(default_factory=dict)
     """Configuration by vehicle type."""
     path: str = DEFAULT_RULE
@@ -39,7 +40,7 @@ class FleetSettings(Settings, frozen=True, kw_only=True):
     vehicles: str | None = None
     """CSV with the columns vehicle, type, sensor_serial, sensor_batch, firmware, from, to."""
     storage: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
-    """Options of file systems by protocol; secrets come from the environment."""
+    """Options of file systems by protocol. Secrets are read from environment variables."""
 
 
 class VehicleFacts(msgspec.Struct, frozen=True):
@@ -54,7 +55,7 @@ class VehicleFacts(msgspec.Struct, frozen=True):
 class Fleet:
     """A fleet file that was read and checked.
 
-    settings: as in the file. bundles: configurations by name.
+    settings: content of the file. bundles: configurations by bundle name.
     """
 
     def __init__(self, settings: FleetSettings, path: Path, document: Document) -> None:
@@ -97,8 +98,8 @@ class Fleet:
         return found
 
     def named(self, source: str) -> tuple[str, str | None, str | None]:
-        """Vehicle, day (ISO) and type from a log's address. If no rule fits, the vehicle is the
-        address itself."""
+        """Return vehicle, day (ISO) and vehicle type from the address of a log. If the rule does
+        not match, the vehicle is the address itself."""
         match = self._rule.search(source)
         if match is None:
             return source, None, None
@@ -106,7 +107,7 @@ class Fleet:
         return groups["vehicle"], iso_day(groups.get("date")), groups.get("type")
 
     def facts(self, vehicle: str, day: str | None) -> dict[str, str]:
-        """Type, serial number, batch and firmware of a vehicle on a day."""
+        """Return type, serial number, batch and firmware of a vehicle on a day."""
         rows = self._facts.get(vehicle, [])
         for row in rows:
             if day is None or (row.since or day) <= day <= (row.until or day):
@@ -114,18 +115,18 @@ class Fleet:
         return {}
 
     def bundle(self, vehicle_type: str | None) -> Bundle:
-        """The configuration of a type."""
+        """Return the configuration of a vehicle type."""
         return self._by_type.get(vehicle_type or "", self.default)
 
 
 def iso_day(text: str | None) -> str | None:
-    """A day as YYYY-MM-DD, from any common notation in a path; None if it is no day."""
+    """Convert a day in any common notation to YYYY-MM-DD; None if the text is not a day."""
     match = _DATE.search(text or "")
     return "-".join(match.groups()) if match else None
 
 
 def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
-    """Read a fleet file. changes: keys given on the command line. Raises ConfigError."""
+    """Read a fleet file. changes: values from the command line, by key. Raises ConfigError."""
     settings, document = read_settings(path, changes)
     return Fleet(settings, path, document)
 
@@ -133,7 +134,8 @@ def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
 def read_settings(
     path: Path, changes: Mapping[str, Any] | None = None
 ) -> tuple[FleetSettings, Document]:
-    """The settings of the file, without reading the files it names. Raises ConfigError."""
+    """Return the settings of a fleet file, without reading the files that it names. Raises
+    ConfigError."""
     data, marks = read_yaml_file(path, _WHOLE)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: a fleet file is a mapping with 'logs' and 'config'")
@@ -143,5 +145,5 @@ def read_settings(
 
 
 def patterns(settings: FleetSettings) -> Sequence[str]:
-    """The addresses of the logs, always as a list."""
+    """Return the addresses of the logs, always as a list."""
     return (settings.logs,) if isinstance(settings.logs, str) else settings.logs

@@ -1,4 +1,4 @@
-"""Lease for writing into a fleet's folder: one driver at a time."""
+"""The lease of a fleet's folder: only the driver that holds the lease may write to the folder."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from imucald.fleet.store import Store
 NAME = "_lease.json"
 BEAT_S = 20.0
 STALE_S = 120.0
-"""If an owner on another machine gives no sign of life for this time, it counts as dead."""
+"""If an owner on another machine does not renew the lease for this time, the owner counts as dead
+[s]."""
 
 
 class Owner(msgspec.Struct, frozen=True):
-    """Who holds the lease. started: start time of the process in the kernel's ticks, since process
-    ids are reused."""
+    """The process that holds the lease. started: start time of the process in the kernel's ticks.
+    It identifies the process, because process ids are reused."""
 
     token: str
     host: str
@@ -31,7 +32,7 @@ class Owner(msgspec.Struct, frozen=True):
 
 
 class Lease:
-    """The right to write; use it in a `with` statement."""
+    """A lease, used in a `with` statement."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -63,7 +64,8 @@ class Lease:
         return self
 
     def beat(self) -> None:
-        """Write a sign of life if one is due. Raises ImucaldError if another run took over."""
+        """Renew the lease if this is due. Raises ImucaldError if another run has taken the
+        lease."""
         now = time.time()
         if now - self._owner.beat < BEAT_S:
             return
@@ -79,14 +81,15 @@ class Lease:
             )
 
     def __exit__(self, *_: object) -> None:
-        """Release the lease if it is still ours."""
+        """Release the lease if this process still holds it."""
         holder = holder_of(self._store)
         if holder is not None and holder.token == self._owner.token:
             self._store.remove(NAME)
 
 
 def holder_of(store: Store) -> Owner | None:
-    """The holder of a folder's lease; None if there is none or it cannot be read."""
+    """Return the holder of a folder's lease; None if there is no lease or the lease cannot be
+    read."""
     try:
         return msgspec.json.decode(store.read(NAME), type=Owner)
     except (ImucaldError, msgspec.DecodeError):
@@ -100,7 +103,8 @@ def _lives(owner: Owner) -> bool:
 
 
 def _started(pid: int) -> str:
-    """Start time of a process (field 22 of /proc/PID/stat, proc(5)); empty if it does not exist."""
+    """Return the start time of a process (field 22 of /proc/PID/stat, proc(5)); empty if the
+    process does not exist."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:

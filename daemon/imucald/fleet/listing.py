@@ -1,4 +1,5 @@
-"""List the logs, and detect changed ones by address and fingerprint alone."""
+"""List the logs of a fleet. Changed logs are detected by address and fingerprint, without reading
+their content."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ class Log(msgspec.Struct, frozen=True):
     """One log of a listing. fingerprint: changes with the content. changed: UNIX time of the last
     change [s].
 
-    within: folder that must contain the log after following links; None if the log itself was
-    named.
+    within: folder that must contain the log after links are followed; None if the log was named
+    without a wildcard.
     """
 
     source: str
@@ -35,7 +36,8 @@ class Log(msgspec.Struct, frozen=True):
 
 
 def list_logs(fleet: Fleet) -> list[Log]:
-    """All logs of a fleet, each address once, sorted. Raises ImucaldError if there is none."""
+    """Return all logs of a fleet, each address once, sorted. Raises ImucaldError if there is no
+    log."""
     found = {log.source: log for pattern in patterns(fleet.settings) for log in _of(fleet, pattern)}
     if not found:
         text = ", ".join(patterns(fleet.settings))
@@ -44,7 +46,7 @@ def list_logs(fleet: Fleet) -> list[Log]:
 
 
 def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log]:
-    """The logs of a pattern. lists: the nested lists in which the pattern stands."""
+    """Yield the logs of a pattern. lists: the nested lists that contain the pattern."""
     storage = fleet.settings.storage
     url = pattern
     if protocol_of(pattern) == "memory":
@@ -73,8 +75,8 @@ def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log
 
 
 def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Addresses of a list: one per line, or the column `log` (else the first column) of a CSV
-    file."""
+    """Return the addresses in a list: one per line, or the column `log` (else the first column) of
+    a CSV file."""
     try:
         text = file_system(url, storage).cat_file(url).decode("utf-8-sig")
         rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
@@ -87,8 +89,8 @@ def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _root(url: str) -> str | None:
-    """The folder of a local pattern's files: its path up to the first wildcard; None without
-    one."""
+    """Return the folder of the files of a local pattern: its path up to the first wildcard. None if
+    there is no wildcard."""
     fixed = re.split(r"[*?\[]", url, maxsplit=1)[0]
     if fixed == url or protocol_of(url) not in LOCAL:
         return None
@@ -111,13 +113,13 @@ def _unix(value: object) -> float | None:
 
 
 def is_since(log: Log, day: str | None, since: str) -> bool:
-    """True if a log is from day `since` (ISO) or later, by the day in its address, else by its last
-    change."""
+    """True if a log is from the day `since` (ISO) or later. day: day in the log's address; without
+    it, the day of the last change is used."""
     if day is None and log.changed is not None:
         day = datetime.fromtimestamp(log.changed, UTC).date().isoformat()
     return day is None or day >= since
 
 
 def shown(source: str) -> str:
-    """The last part of an address, for messages."""
+    """Return the last part of an address, for messages."""
     return Path(source).name

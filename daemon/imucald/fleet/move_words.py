@@ -1,4 +1,5 @@
-"""Texts about moves of sensors: when they happened, and which drives could not show one."""
+"""Texts about moves of sensors: when a move happened, and in which drives a move could not be
+found."""
 
 from __future__ import annotations
 
@@ -15,18 +16,18 @@ Row = Mapping[str, Any]
 
 
 def names_of(rows: Iterable[Row]) -> str:
-    """The vehicles of rows, each once, in order: "car-1, car-3"."""
+    """Return the names of the vehicles in rows, each once, in order: "car-1, car-3"."""
     names = list(dict.fromkeys(str(row["vehicle"]) for row in rows))
     return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" * (len(names) > NAMED))
 
 
 def time_text(time: datetime | None, key: str) -> str:
-    """Text of a table's time, or the key of the drive if it has no time."""
+    """Return a time from a table as text, or `key` (the key of the drive) if there is no time."""
     return f"{time:%Y-%m-%d %H:%M}" if time else key
 
 
 def when_moved(row: Row) -> str:
-    """Text of the time when a sensor was moved. row: of `analysis/remounts`."""
+    """Return a text about the time when a sensor was moved. row: row of `analysis/remounts`."""
     before = time_text(row["before"], row["before_log_key"])
     if row["found_s"] is None:
         return f"between {before} and {time_text(row['after'], row['after_log_key'])}"
@@ -34,8 +35,8 @@ def when_moved(row: Row) -> str:
 
 
 def why_not_known(vehicles: Iterable[Row]) -> str:
-    """Reason why no move between drives could be found; "" if it could. vehicles: of
-    `analysis/vehicles`."""
+    """Return the reason why moves between drives could not be found; "" if they could be found.
+    vehicles: rows of `analysis/vehicles`."""
     pairs = sum(max(v["drives"] - 1 - v["drives_unordered"], 0) for v in vehicles)
     if pairs >= LEAST_PAIRS:
         return ""
@@ -46,7 +47,8 @@ def why_not_known(vehicles: Iterable[Row]) -> str:
 
 
 def unordered_words(vehicles: Iterable[Row]) -> str:
-    """Text about the number and vehicles of drives without an order; "" if all have one.
+    """Return a text about drives without an order (their number and vehicles); "" if all drives
+    have an order.
 
     vehicles: rows of `analysis/vehicles`.
     """

@@ -1,4 +1,4 @@
-"""`imucald.Fleet`: a fleet's folder from Python."""
+"""`imucald.Fleet`: read the folder of a fleet in Python."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FOLDER = "analysis/"
 
 
 class FleetTables:
-    """The tables of a fleet's folder, as Arrow tables; each is read at its first use.
+    """The tables in the folder of a fleet, as Arrow tables. Each table is read at its first use.
 
     Open the folder again to see the results of a later run.
     """
@@ -34,8 +34,8 @@ class FleetTables:
     def open(cls, url: str, storage: Mapping[str, Mapping[str, Any]] | None = None) -> FleetTables:
         """Open the folder that `imucald fleet run --out` wrote.
 
-        url: a path or any address that fsspec knows. storage: options by protocol, as in
-        fleet.yaml. Raises ImucaldError if no run has written there.
+        url: a path, or any address that fsspec supports. storage: options by protocol, as in
+        fleet.yaml. Raises ImucaldError if no run has written to this folder.
         """
         store = Store(str(url), storage)
         if not parts(store, "sources"):
@@ -47,9 +47,9 @@ class FleetTables:
         return f"Fleet at {self._store.url}: {drives}, {len(self.failures)} failed"
 
     def table(self, name: str) -> pa.Table:
-        """A table by its name, such as "sources" or "analysis/groups" (see docs/fleet.md).
-
-        Raises ImucaldError for another name, and if the fleet is not analysed yet.
+        """Return a table by its name, such as "sources" or "analysis/groups" (see docs/fleet.md).
+        Raises ImucaldError for an unknown name, and for `analysis/...` before the fleet is
+        analysed.
         """
         if name in TABLES:
             return self._read[name]
@@ -61,28 +61,31 @@ class FleetTables:
 
     @property
     def drives(self) -> pa.Table:
-        """A row for each drive."""
+        """Table with a row for each drive."""
         return self.table("drives")
 
     @property
     def events(self) -> pa.Table:
-        """The events within drives."""
+        """Table of the events within drives."""
         return self.table("events")
 
     @property
     def failures(self) -> pa.Table:
-        """Failed logs with the reasons."""
+        """Table of the failed logs with reasons."""
         return self.table("failures")
 
     @property
     def vehicles(self) -> pa.Table:
-        """A row for each vehicle. Raises ImucaldError if the fleet is not analysed yet."""
+        """Table with a row for each vehicle. Raises ImucaldError if the fleet is not analysed
+        yet."""
         return self.table(f"{_FOLDER}vehicles")
 
     def analyse(self, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
-        """Analyse as `imucald fleet analyse` does, write the tables and return them by name.
+        """Analyse the fleet like the command `imucald fleet analyse`, write the tables, and return
+        them by name.
 
-        groups: columns of `drives` whose groups are compared with each other.
+        groups: columns of `drives`. The vehicles with the same value in such a column form a group
+        that is compared with other vehicles.
         """
         self.__dict__["_analysis"] = found = analyse_fleet(self._store, groups)
         return found

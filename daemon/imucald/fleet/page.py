@@ -1,4 +1,4 @@
-"""A fleet's analysis as one self-contained HTML page."""
+"""The analysis of a fleet as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -34,19 +34,20 @@ from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
 
 MAX_ROWS = 60
-"""Largest number of rows of a table on the page; the files have all rows."""
+"""Largest number of rows of a table on the page. The files contain all rows."""
 MAX_HISTORIES = 6
 """Largest number of vehicles with a picture of their drives."""
 MAX_PICTURED = 4000
-"""Largest number of vehicles in one picture. If there are more, only a sample is drawn of those
-that do not stand out."""
+"""Largest number of vehicles in one picture. If there are more vehicles, all outliers but only a
+sample of the other vehicles are drawn."""
 CALM = "Nothing stands out"
 PICTURES = ("vehicles", "types", "groups", "never")
 Rows = list[dict[str, Any]]
 
 
 def fleet_page(store: Store) -> str:
-    """The page as text. Raises ImucaldError if there is no analysis or a library is missing."""
+    """Return the page as text. Raises ImucaldError if there is no analysis or a library is
+    missing."""
     require_libraries()
     analysis = {
         name.rpartition("/")[2]: table.to_pylist() for name, table in read_analysis(store).items()
@@ -119,10 +120,10 @@ def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows, are_moves_kn
 
 
 def _mounts(analysis: dict[str, Rows]) -> Rows:
-    """The present mount of each vehicle, in order of importance: moved ones first, then those that
-    stand out.
+    """Return the present mount of each vehicle, in order of importance: vehicles with a moved
+    sensor first, then outliers.
 
-    mark: reason for attention; "" if there is none.
+    The column mark is the reason for attention; "" if there is none.
     """
     odd = {row["vehicle"] for row in analysis["outliers"]}
     rows = present_mounts(analysis["vehicles"], analysis["segments"], analysis["remounts"])
@@ -162,7 +163,7 @@ def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
 
 
 def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
-    """Histories of the vehicles whose sensors were moved by the largest angles."""
+    """Return the histories of the vehicles whose sensors were moved by the largest angles."""
     cuts: dict[str, list[str]] = {}
     for row in sorted(found, key=lambda r: -(r["size_deg"] or 0.0)):
         cuts.setdefault(row["vehicle"], []).append(row["after_log_key"])

@@ -1,4 +1,4 @@
-"""Pictures of a fleet as SVG: vehicles against their type, batches, histories, spreads."""
+"""Pictures of a fleet as SVG: vehicles relative to their type, batches, histories, spreads."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ MAX_LINES = 20
 COLUMNS = 90
 """Characters that fit side by side below a picture of the page's width."""
 SHOWN = 98.0
-"""Percentile of the size that sets an axis if outliers are much larger."""
+"""If outliers are much larger than other values, this percentile of the sizes determines the range
+of an axis."""
 
 
 def vehicles_picture(vehicles: Sequence[Row]) -> str:
-    """Each vehicle relative to its type, axis by axis; outliers are marked."""
+    """Draw the mount of each vehicle relative to its type, for each axis. Outliers are marked."""
     ordered = sorted(vehicles, key=lambda v: (v["vehicle_type"], v["vehicle"]))
     kinds = [v["vehicle_type"] for v in ordered]
     begins = [i for i, k in enumerate(kinds) if i == 0 or kinds[i - 1] != k]
@@ -65,7 +66,8 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
 
 
 def groups_picture(groups: Sequence[Row]) -> str:
-    """Batches relative to the other vehicles of their types, with 95 % intervals."""
+    """Draw the difference between each batch and the other vehicles of the same types, with 95 %
+    intervals."""
     judged = [g for g in groups if g["p"] is not None]
     judged = sorted(judged, key=lambda g: g["p"])[:MAX_LINES]
     labels = [
@@ -75,7 +77,8 @@ def groups_picture(groups: Sequence[Row]) -> str:
 
 
 def types_picture(types: Sequence[Row]) -> str:
-    """Spread from vehicle to vehicle and from drive to drive, with 95 % intervals, by type."""
+    """Draw the spread between vehicles and the spread between drives for each type, with 95 %
+    intervals."""
     shown = list(types)[:MAX_LINES]
 
     def draw(figure: Figure) -> None:
@@ -125,8 +128,8 @@ def _labelled(ax: Axes, labels: Sequence[str]) -> None:
 
 
 def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
-    """One vehicle's drives in order, relative to its first, with 95 % intervals. cuts: log keys of
-    the drives after a remount."""
+    """Draw the mounts of one vehicle's drives in order, relative to the first drive, with 95 %
+    intervals. cuts: log keys of the first drive after each remount."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - only for these pictures
 
     R = Rotation.from_quat([[d[f"q_{n}"] for n in "xyzw"] for d in drives])
@@ -155,7 +158,7 @@ def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
 
 
 def reasons_picture(rows: Sequence[Row]) -> str:
-    """Drives that never became usable, by the condition that they waited for."""
+    """Draw the number of drives that never became usable, by missing condition."""
     count: dict[str, int] = {}
     for row in rows:
         count[row["reason"]] = count.get(row["reason"], 0) + row["drives"]

@@ -1,4 +1,4 @@
-"""Find the logs that a run must evaluate: those without a known outcome."""
+"""Find the logs that a run must evaluate: the logs without a known outcome."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Redo = Literal["nothing", "failed", "config", "all"]
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """Options of a run; the defaults are those of the command line."""
+    """Options of a run. The defaults are the same as on the command line."""
 
     limits: LogLimits = LogLimits()
     redo: Redo = "nothing"
@@ -33,7 +33,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Known(msgspec.Struct, frozen=True):
-    """Result of an earlier run for an address."""
+    """The known result of the log at an address, from an earlier run."""
 
     fingerprint: str
     run_key: str
@@ -41,7 +41,8 @@ class Known(msgspec.Struct, frozen=True):
 
 
 class Plan(msgspec.Struct):
-    """The work of a run. other_configuration: logs done before with another run_key."""
+    """The work of a run. other_configuration: number of logs that were evaluated earlier with
+    another run_key."""
 
     tasks: list[tuple[Task, Log]]
     listed: int
@@ -56,8 +57,8 @@ class Plan(msgspec.Struct):
 
 
 def known_sources(store: Store) -> dict[str, Known]:
-    """Known results by address, from the tables; addresses whose own row was lost are missing
-    (`damaged`)."""
+    """Return the known results by address, from the tables. An address is missing if its row was
+    lost with a damaged file (`damaged`)."""
     table = read_tables(store, ("sources",))["sources"]
     names = ("source", "fingerprint", "run_key", "outcome", "log_key")
     columns = [table.column(n).to_pylist() for n in names]
@@ -74,8 +75,8 @@ def _values(store: Store, table: str, column: str) -> set[str]:
 
 
 def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -> Plan:
-    """Compare the listed logs with the known results. The tasks begin with a sample; then the
-    largest logs come first."""
+    """Compare the listed logs with the known results, and return the plan. The first tasks are a
+    sample of logs; the other tasks are sorted by size, the largest first."""
     known = known_sources(store)
     plan = Plan([], 0)
     for log in logs:
@@ -94,7 +95,8 @@ def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -
 
 
 def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "") -> Task:
-    """The task of a log: its vehicle and configuration by the rules of the fleet."""
+    """Return the task of a log. Its vehicle and its configuration follow from the rules of the
+    fleet."""
     vehicle, day, vehicle_type = fleet.named(source)
     vehicle_type = vehicle_type or fleet.facts(vehicle, day).get("type")
     return Task(
@@ -112,7 +114,8 @@ def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "
 
 
 def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
-    """Put a sample of logs of all sizes first: if all of these fail, the rest will fail too."""
+    """Move a sample of logs of all sizes to the beginning. If all logs of the sample fail, the
+    other logs will fail too."""
     step = len(tasks) // SAMPLE
     if step > 1:
         chosen = range(0, step * SAMPLE, step)

@@ -1,4 +1,5 @@
-"""Settings of a process in the Linux kernel: end with its parent, and limit its memory."""
+"""Settings of a process in the Linux kernel: end the process with its parent, and limit its
+memory."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import resource
 import signal
 
 PR_SET_PDEATHSIG = 1
-"""linux/prctl.h"""
+"""Constant of linux/prctl.h."""
 
 FOR_CHILDREN = {
     "OMP_NUM_THREADS": "1",  # logs run in parallel, not their arithmetic
@@ -16,7 +17,7 @@ FOR_CHILDREN = {
     "MKL_NUM_THREADS": "1",
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # other pools map 1 GiB at once
 }
-"""Environment variables for children."""
+"""Environment variables for child processes."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -29,8 +30,8 @@ def die_with(parent: int) -> None:
 
 
 def limit_memory(beside: int) -> None:
-    """Limit the memory that this process may map to what it maps now plus `beside` bytes. Disable
-    core files."""
+    """Limit the mapped memory of this process to its present size plus `beside` bytes. Disable core
+    files."""
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123 - a lean start
         mapped = int(file.read().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + beside, mapped + beside))

@@ -1,4 +1,5 @@
-"""Analysis of a fleet's folder: reads `drives`, writes the tables under `analysis/`."""
+"""Analyse the folder of a fleet: read the table `drives`, and write the tables under
+`analysis/`."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ OF_SHIFT = ("log_key", "vehicle", "time", "t_s", "d_x_deg", "d_y_deg", "d_z_deg"
 
 
 def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
-    """Write all tables of the analysis again; return them. Raises ImucaldError."""
+    """Write all tables of the analysis again, and return them. Raises ImucaldError."""
     wrong = [g for g in groups if g not in {c.name for c in TABLES["drives"] if c.kind == "text"}]
     if wrong:
         raise ImucaldError(f"--group {wrong[0]}: the drives table has no text column of this name")
@@ -60,7 +61,7 @@ def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]
 
 
 def read_analysis(store: Store) -> dict[str, pa.Table]:
-    """The tables of the last analysis. Raises ImucaldError if there is none."""
+    """Return the tables of the last analysis. Raises ImucaldError if there is no analysis."""
     if not store.exists(main_file("analysis/vehicles")):
         raise ImucaldError(
             f"{store.url}: there is no analysis yet; run 'imucald fleet analyse' first"
@@ -69,25 +70,27 @@ def read_analysis(store: Store) -> dict[str, pa.Table]:
 
 
 def has_common_mount(row: Mapping[str, Any]) -> bool:
-    """True if the sensors of a type's vehicles have the same mount. row: of `analysis/types`.
+    """True if the sensors in all vehicles of a type have the same mount by design. row: row of
+    `analysis/types`.
 
-    False if several vehicles leave an angle of the type's mount unknown: then their mounts differ
-    by design, and neither a spread nor a difference from the type says anything.
+    False if an angle of the type's mount is unknown although there are several vehicles. In this
+    case the mounts differ by design, so the spread between vehicles and the difference from the
+    type have no meaning.
     """
     halves = [row[f"ci95_{axis}_deg"] for axis in "xyz"]
     return row["vehicles"] < 2 or all(h is not None and h < UNKNOWN_HALF_DEG for h in halves)
 
 
 def shown_types(types: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of `analysis/types`, without intervals where a type has no common mount."""
+    """Return rows of `analysis/types`. The intervals of types without a common mount are
+    removed."""
     no_interval = {f"ci95_{angle}_deg": None for angle in ANGLES}
     return [{**row, **({} if has_common_mount(row) else no_interval)} for row in types]
 
 
 def spread_text(row: Mapping[str, Any]) -> str:
-    """Spread between the vehicles of a type about x, y, z [deg]; "-" if there is none.
-
-    row: of `analysis/types`.
+    """Return the spread between the vehicles of a type about x, y, z [deg] as text; "-" if there is
+    none. row: row of `analysis/types`.
     """
     if row["vehicles"] < 2 or not has_common_mount(row):
         return "-"
@@ -95,7 +98,8 @@ def spread_text(row: Mapping[str, Any]) -> str:
 
 
 def no_common_mount_words(types: Iterable[Mapping[str, Any]]) -> str:
-    """Text about the types whose vehicles have no common mount; "" if all have one.
+    """Return a text about the types whose vehicles have no common mount; "" if all types have a
+    common mount.
 
     types: rows of `analysis/types`.
     """
@@ -113,9 +117,11 @@ def present_mounts(
     segments: Sequence[Mapping[str, Any]],
     remounts: Sequence[Mapping[str, Any]],
 ) -> list[dict[str, Any]]:
-    """The mount of each vehicle since its sensor was last moved: its last row of `segments`.
+    """Return the mount of each vehicle since the last move of its sensor: the last row of the
+    vehicle in `segments`.
 
-    The columns vehicle_type, all_drives and moves (number found) are added. Sorted by vehicle.
+    The columns vehicle_type, all_drives and moves (number of found moves) are added. The rows are
+    sorted by vehicle.
     """
     moves = Counter(row["vehicle"] for row in remounts if row["found"])
     last: dict[str, Mapping[str, Any]] = {}

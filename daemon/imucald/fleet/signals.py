@@ -1,5 +1,5 @@
-"""Write the corrected signals of one drive, in the process that evaluated it: one file for each
-sensor."""
+"""Write the corrected signals of one drive: one file for each sensor. The process that evaluates
+the drive writes them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ UNKNOWN_DAY = "unknown"
 
 
 def write_signals(drive: DriveResult, task: Task, key: str, start: float | None) -> None:
-    """Write signals/NAME/vehicle=V/date=D/KEY.parquet; the same log gives the same files."""
+    """Write the files signals/NAME/vehicle=V/date=D/KEY.parquet. The same log gives the same
+    files."""
     store = Store(task.signals or "", task.storage)
     vehicle = quote(task.vehicle, safe="")
     day = day_of(start) or task.date or UNKNOWN_DAY
@@ -31,7 +32,8 @@ def write_signals(drive: DriveResult, task: Task, key: str, start: float | None)
 
 
 def _single(table: pa.Table, columns: Columns) -> pa.Table:
-    """Convert measured numbers to single precision: 24 bits exceed the resolution of any sensor."""
+    """Convert measured numbers to single precision, because its 24 bits exceed the resolution of
+    any sensor."""
     fields = [_narrowed(f, c) for f, c in zip(table.schema, columns.columns, strict=True)]
     return table.cast(pa.schema(fields, metadata=table.schema.metadata))
 

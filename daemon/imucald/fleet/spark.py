@@ -1,13 +1,14 @@
-"""The rows of `drives` in Spark, for users with a Spark cluster and without Dask.
+"""Compute the rows of `drives` in Spark, for users with a Spark cluster and without Dask.
 
-    fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml")
-    paths = spark.createDataFrame([("/lake/raw/car-1/1.mf4",)], "source STRING")
-    rows = paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
-    rows.write.parquet("/lake/drives")
+fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml") paths =
+spark.createDataFrame([("/lake/raw/car-1/1.mf4",)], "source STRING") rows =
+paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
+rows.write.parquet("/lake/drives")
 
-The rows are those of `drives`, with source, outcome and message. Set the option
-`spark.sql.session.timeZone` to `UTC`. The same function in the same kind of child process gives the
-same rows. Spark writes the rows itself, so resuming, keys and the order of rows depend on Spark.
+The rows have the columns of `drives`, and the additional columns source, outcome and message. Set
+the option `spark.sql.session.timeZone` to `UTC`. Spark uses the same function and the same kind of
+child process as `imucald fleet run`, so the rows are the same. Spark writes the rows itself, so
+Spark determines resuming, keys and the order of rows.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ MORE = (
     Column("outcome", "text", "", "ok, or the kind of failure"),
     Column("message", "text", "", "message of a failure, for people"),
 )
-"""Columns in addition to those of `drives`; every log has a row."""
+"""Additional columns of the result. Every log has a row, even if its evaluation failed."""
 COLUMNS = (*TABLES["drives"], *MORE)
 
 
@@ -63,17 +64,17 @@ class SparkFleet:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], limits: LogLimits | None = None) -> SparkFleet:
-        """Read fleet.yaml; its `logs` are ignored. Raises ConfigError."""
+        """Read fleet.yaml. The key `logs` is ignored. Raises ConfigError."""
         return cls(load_fleet(Path(path)), Options(limits=limits or LogLimits()))
 
     @property
     def schema(self) -> str:
-        """Schema of the result of `map_frame`, as Spark's DDL."""
+        """Schema of the result of `map_frame`, in the DDL of Spark."""
         return ", ".join(f"`{column.name}` {DDL[column.kind]}" for column in COLUMNS)
 
     def map_frame(self, frames: Iterator[pd.DataFrame]) -> Iterator[pd.DataFrame]:
-        """Function for `mapInPandas`: takes frames with a column `source`, yields a row for each
-        log."""
+        """Function for `mapInPandas`: frames with a column `source` are the input; a row for each
+        log is the output."""
         unpack(self.fleet.bundles)
         for frame in frames:
             yield _frame([self._row(str(source)) for source in frame["source"]])

@@ -1,4 +1,4 @@
-"""The folder of a fleet, at any fsspec URL: files appear completely or not at all."""
+"""The folder of a fleet, at any fsspec URL. Each file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from imucald.core.files import sync_folder
 from imucald.fleet.fetch import LOCAL, bare_path, file_system, protocol_of
 
 WORK = "_work"
-"""Folder for unfinished files; readers of tables ignore it."""
+"""Folder for unfinished files. Readers of tables ignore this folder."""
 
 
 class Store:
-    """Files under one URL, by names with slashes."""
+    """The files below one URL. The names of files are paths with slashes."""
 
     def __init__(self, url: str, storage: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         """Open the file system. Raises ImucaldError if the URL's file system is not available."""
@@ -33,7 +33,8 @@ class Store:
         return f"{self._root}/{name}"
 
     def write(self, name: str, data: bytes) -> None:
-        """Replace a file atomically: at every instant it is the old or the new one."""
+        """Replace a file atomically: at every instant, the complete old file or the complete new
+        file exists."""
         try:
             if self.local:
                 self._write_local(Path(self._place(name)), data)
@@ -59,10 +60,10 @@ class Store:
         sync_folder(path.parent)
 
     def create(self, name: str, data: bytes) -> bool:
-        """Create a file that must not exist yet; returns False if it exists.
+        """Create a file. Return False if the file already exists.
 
-        Creation is exclusive if the storage supports that (local, memory, S3). Elsewhere, two
-        callers at the same instant may both get True.
+        Creation is exclusive if the storage supports exclusive creation (local, memory, S3). On
+        other storage, two callers at the same instant may both get True.
         """
         place = self._place(name)
         if self.local:
@@ -84,7 +85,7 @@ class Store:
         return True
 
     def read(self, name: str) -> bytes:
-        """The content of a file. Raises ImucaldError if it cannot be read."""
+        """Return the content of a file. Raises ImucaldError if the file cannot be read."""
         try:
             self._system.invalidate_cache()
             found: bytes = self._system.cat_file(self._place(name))
@@ -99,7 +100,7 @@ class Store:
         return bool(self._system.exists(self._place(name)))
 
     def names(self, folder: str, ending: str) -> list[str]:
-        """Sorted names of the files in a folder; empty if there is no folder."""
+        """Return the sorted names of the files in a folder; empty if there is no folder."""
         self._system.invalidate_cache()
         try:
             found = self._system.ls(self._place(folder), detail=False)
@@ -109,7 +110,7 @@ class Store:
         return sorted(f"{folder}/{name}" for name in names if name.endswith(ending))
 
     def remove(self, name: str) -> None:
-        """Delete a file, if it is there."""
+        """Delete a file if it exists."""
         with suppress(FileNotFoundError):
             self._system.rm_file(self._place(name))
 

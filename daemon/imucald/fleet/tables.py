@@ -1,9 +1,9 @@
-"""Tables as Parquet: written as parts while a run goes on, as one sorted file when it ends.
+"""Tables as Parquet files: parts during a run, one sorted file after the run.
 
-`drives/drives.parquet` is the finished table; `drives/part-00000007.parquet` has the rows of flush
-7 of a run. All tables of a flush have its number; `sources` is written last and marks the flush as
-complete. Rows are identified by their keys and the latest row counts, so rows written twice do no
-harm.
+`drives/drives.parquet` is the finished table. `drives/part-00000007.parquet` contains the rows of
+flush 7 of a run. All parts of a flush have the same number. The part of `sources` is written last
+and marks the flush as complete. Rows are identified by their keys, and the latest row with a key is
+valid, so rows that are written twice cause no error.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TYPES: Mapping[str, pa.DataType] = {
     "flag": pa.bool_(),
 }
 ROW_GROUP = 25_000
-"""Rows in a row group; readers can skip whole groups."""
+"""Number of rows in a row group. Readers can skip whole row groups."""
 WRITING: Final[dict[str, Any]] = {
     "compression": "zstd",
     "compression_level": 3,
@@ -44,7 +44,7 @@ REMEDY = "run' renames it and evaluates its logs again"
 
 
 class DamagedTableError(ImucaldError):
-    """A table's file cannot be read as a table. reason: without the remedy."""
+    """A file cannot be read as a table. reason: the reason without the remedy."""
 
     def __init__(self, reason: str, remedy: str) -> None:
         super().__init__(f"{reason}; 'imucald fleet {remedy}")
@@ -52,7 +52,8 @@ class DamagedTableError(ImucaldError):
 
 
 def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
-    """Arrow schema, with units in the fields' metadata and again in the file's metadata."""
+    """Return the Arrow schema of a table. The units are in the metadata of the fields and in the
+    metadata of the file."""
     fields = [
         pa.field(
             c.name,
@@ -72,9 +73,8 @@ def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
 def table_of(
     name: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[Column] | None = None
 ) -> pa.Table:
-    """Convert rows to a table with all its columns; times in the rows are UNIX seconds.
-
-    A name that is not UTF-8 is escaped, see `encodable`.
+    """Convert rows to a table with all columns. Times in the rows are UNIX times [s]. Names that
+    are not UTF-8 are escaped (`encodable`).
     """
     columns = TABLES[name] if columns is None else columns
     schema = schema_of(name, columns)
@@ -93,19 +93,20 @@ def table_of(
 
 
 def as_parquet(table: pa.Table) -> bytes:
-    """The bytes of a file; the same table gives the same bytes."""
+    """Return the table as bytes of a Parquet file. The same table gives the same bytes."""
     sink = io.BytesIO()
     pq.write_table(table, sink, row_group_size=ROW_GROUP, **WRITING)
     return sink.getvalue()
 
 
 def main_file(table: str) -> str:
-    """The name of the finished table."""
+    """Return the file name of the finished table."""
     return f"{table}/{table.rpartition('/')[2]}.parquet"
 
 
 def parts(store: Store, table: str) -> list[tuple[int, str]]:
-    """Number and name of the files of a table, oldest first; 0 is the finished table."""
+    """Return flush number and name of each file of a table, the oldest first. Number 0 is the
+    finished table."""
     found = []
     for name in store.names(table, ".parquet"):
         stem = name.rpartition("/")[2].removesuffix(".parquet")
@@ -124,10 +125,10 @@ def write_part(store: Store, table: str, number: int, rows: Sequence[Mapping[str
 
 
 def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
-    """Read one file with all present columns; columns missing in an older version are null.
+    """Read one file of a table. Columns that an older version did not write are null.
 
-    Raises DamagedTableError if its content is no such table, and ImucaldError if it cannot be read
-    at all.
+    Raises DamagedTableError if the content is not such a table, and ImucaldError if the file cannot
+    be read.
     """
     data = store.read(name)
     schema = schema_of(name.partition("/")[0], columns)
@@ -150,9 +151,9 @@ def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
 def read_with_parts(
     store: Store, table: str, names: Sequence[str] | None = None
 ) -> tuple[pa.Table, list[int]]:
-    """Read all files of a table in order; returns also the number of the flush of each row.
+    """Read all files of a table in order. Return the table and the flush number of each row.
 
-    names: of the columns; None for all.
+    names: names of the columns to read; None means all columns.
     """
     columns = [c for c in TABLES[table] if names is None or c.name in names]
     found, numbers = [], []
@@ -165,11 +166,11 @@ def read_with_parts(
 
 
 class FinishedRows:
-    """Rows of a finished table: the valid ones of the rows read, sorted.
+    """The rows of a finished table: the valid rows, sorted.
 
-    They are assembled one row group at a time, so that the table is in memory once, not three
-    times. kept: indices of the rows that count; None for all. instead: by column, texts that
-    replace its values in the kept rows.
+    The rows are assembled one row group at a time, so that the table is in memory only once. kept:
+    indices of the valid rows; None means all rows. instead: for some columns, texts that replace
+    the values of the valid rows.
     """
 
     def __init__(
@@ -192,11 +193,11 @@ class FinishedRows:
         self._texts = {name: values.take(order) for name, values in texts.items()}
 
     def table(self) -> pa.Table:
-        """All rows as one table."""
+        """Return all rows as one table."""
         return self._part(0, len(self._chosen))
 
     def parquet(self) -> bytes:
-        """The bytes of the finished file; the same rows give the same bytes."""
+        """Return the bytes of the finished file. The same rows give the same bytes."""
         sink = io.BytesIO()
         count = len(self._chosen)
         with pq.ParquetWriter(sink, self._rows.schema, **WRITING) as writer:

@@ -1,4 +1,4 @@
-"""Task and outcome of one log, exchanged with a worker: plain data, as JSON between processes."""
+"""Task and outcome of one log. They are plain data, and are sent between processes as JSON."""
 
 from __future__ import annotations
 
@@ -16,37 +16,41 @@ FAILURES: Final = (
     "crashed",  # its process died
     "bug",  # an error that imucald does not raise on purpose
 )
-"""How the evaluation of a log can fail. Its row in `failures` has one of these as `kind`."""
+"""Kinds of failure of an evaluation. The column `kind` of the table `failures` contains one of
+these texts."""
 
 ONCE_MORE: Final = frozenset({"timeout", "memory", "crashed"})
-"""Failures that are tried again, one log at a time: the reason may have been a busy machine."""
+"""Kinds of failure after which a log is evaluated again, alone. The reason may have been a busy
+machine."""
 
 OK: Final = "ok"
 OTHER_CODE: Final = "other_code"
-"""A worker that joined later has another version of imucald: the run ends without blaming a log."""
+"""Outcome if a worker that joined later has another version of imucald. The run then ends, and the
+log does not count as failed."""
 
 
 EVALUATE: Final = "imucald.fleet.evaluation:evaluate"
 DIAGNOSE: Final = "imucald.fleet.diagnosed:evaluate_and_diagnose"
-"""Default function that the child calls."""
+"""Function that the child calls with the option `--diagnose`."""
 
 
 class LogLimits(msgspec.Struct, frozen=True):
     """Limits for one log."""
 
     memory_bytes: int = 2**30
-    """In addition to the memory of the program itself."""
+    """Memory that the evaluation may use in addition to the memory of the program itself
+    [bytes]."""
     time_s: float = 900.0
-    """Wall-clock time [s]."""
+    """Longest duration of the evaluation (wall-clock time) [s]."""
 
 
 class Task(msgspec.Struct, frozen=True):
     """One log to evaluate.
 
-    source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: the
-    function that the child calls, as "module:name". signals: URL of the folder that corrected
-    signals go to. storage: options of the file systems by protocol; secrets come from the
-    environment. within: see `Log`.
+    source: fsspec URL of the log. bundle: name of the configuration, see `bundle.py`. function: the
+    function that the child calls, as "module:name". signals: URL of the folder to which corrected
+    signals are written. storage: options of the file systems by protocol; secrets are read from
+    environment variables. within: see `Log`.
     """
 
     source: str
@@ -63,7 +67,8 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class Cost(msgspec.Struct, frozen=True):
-    """Resources used by an attempt; they differ from run to run, so they have a separate table."""
+    """Resources that an attempt used. They are stored in a separate table, because they differ from
+    run to run."""
 
     wall_s: float = 0.0
     cpu_s: float = 0.0
@@ -72,10 +77,10 @@ class Cost(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """The outcome of one attempt; kind is "ok" or one of `FAILURES`.
+    """The outcome of one attempt. kind: "ok" or one of `FAILURES`.
 
-    log_key: SHA-256 of the log's content (16 hex digits), if it was read to the end. drive: the row
-    of `drives` without the columns that the driver adds. message, traceback: for people.
+    log_key: SHA-256 of the log's content (16 hex digits), if the log was read to the end. drive:
+    the row of `drives` without the columns that the driver adds. message, traceback: for people.
     """
 
     kind: str
@@ -89,5 +94,5 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 def encoded(value: Task | Outcome) -> bytes:
-    """A task or outcome as JSON."""
+    """Return a task or outcome as JSON."""
     return msgspec.json.encode(value)

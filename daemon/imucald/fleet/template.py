@@ -1,10 +1,11 @@
-"""The template process, from which children are forked: it only imports all modules and waits.
+"""The template process. It imports all modules and waits. Child processes are forked from it.
 
-    python -m imucald.fleet.template DESCRIPTOR FUNCTION
+python -m imucald.fleet.template DESCRIPTOR FUNCTION
 
 A forked copy starts in milliseconds; a new interpreter takes a third of a second. The template has
 one thread and touches no data, so each copy starts in a clean state, independent of earlier logs.
-For each task the socket brings one descriptor, on which a keeper answers.
+For each task, the template receives a file descriptor through the socket. A keeper process sends
+the answer through this descriptor.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import sys
 from imucald.fleet.child_guard import function_of, keep
 
 LOOK_S = 1.0
-"""Interval [s] of the check whether its worker still lives, in case another process holds the
-socket open."""
+"""Period of the check whether the worker process still exists [s]. The check is needed if another
+process keeps the socket open."""
 
 
 def main(descriptor: int, function: str) -> None:
@@ -42,7 +43,7 @@ def main(descriptor: int, function: str) -> None:
 
 
 def _serve(control: socket.socket) -> bool:
-    """Fork a keeper for the next task; returns False if no more tasks will come."""
+    """Fork a keeper for the next task. Return False if there will be no more tasks."""
     try:
         message, descriptors, _, _ = socket.recv_fds(control, 1, 1)
     except OSError:  # the worker ended without reading our message

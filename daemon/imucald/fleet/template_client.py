@@ -1,4 +1,5 @@
-"""The worker's side of the template process: it sends tasks and waits until the children end."""
+"""The client of the template process in a worker: it sends tasks and waits until the child
+processes end."""
 
 from __future__ import annotations
 
@@ -18,12 +19,12 @@ from imucald.fleet.process_limits import FOR_CHILDREN
 from imucald.fleet.task import Outcome, Task, encoded
 
 STARTING_S = 120.0
-"""Longest wait for a template's start. The imports of the process take less than a second, but
-packages in a shared folder may be slow."""
+"""Longest wait for the start of a template process [s]. Its imports usually take less than a
+second, but packages in a shared folder may be slow."""
 
 
 class Template:
-    """One template process; `run` may be called by several threads at a time."""
+    """One template process. Several threads may call `run` at the same time."""
 
     def __init__(self, function: str) -> None:
         self._function = function
@@ -33,13 +34,14 @@ class Template:
         self._control: socket.socket | None = None
 
     def begin(self) -> None:
-        """Start the template if it does not run yet; do not wait for it."""
+        """Start the template if it is not running. The call does not wait until it has started."""
         with self._lock:
             if self._process is None:
                 self._starting = self._launched()
 
     def run(self, task: Task) -> Outcome:
-        """Run a task in its own child; returns the outcome in any case."""
+        """Run a task in its own child process. Always returns an outcome and never raises an
+        error."""
         ours, theirs = socket.socketpair()
         with ours:
             with theirs:
@@ -55,7 +57,8 @@ class Template:
             return Outcome("crashed", text)
 
     def _send(self, theirs: socket.socket) -> None:
-        """Send the template the other end of the socket; a dead template is started again, once."""
+        """Send the other end of the socket to the template. If the template has died, it is started
+        again, once."""
         with self._lock:
             for last in (False, True):
                 control = self._control or self._started()
@@ -108,7 +111,7 @@ class Template:
             self._process = None
 
     def close(self) -> None:
-        """End the template; its children end with it."""
+        """End the template. Its child processes end with it."""
         with self._lock:
             self._stop()
 
@@ -121,14 +124,14 @@ def _received(ours: socket.socket) -> bytes:
 
 
 class _Templates:
-    """One template per function in this process."""
+    """The template processes of this process: one for each function."""
 
     lock = threading.Lock()
     of: ClassVar[dict[str, Template]] = {}
 
 
 def template_for(function: str) -> Template:
-    """The template of this process for a function."""
+    """Return the template process for a function."""
     with _Templates.lock:
         if not _Templates.of:
             atexit.register(close_templates)

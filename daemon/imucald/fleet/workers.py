@@ -1,8 +1,9 @@
-"""Workers that evaluate logs: this machine, any `concurrent.futures.Executor`, or a Dask cluster.
+"""Workers that evaluate logs: processes on this machine, any `concurrent.futures.Executor`, or a
+Dask cluster.
 
 A task never raises, hangs or kills its worker: it runs in its own child process, and its result is
-an `Outcome`. Therefore all kinds of workers behave the same, and each failure belongs to exactly
-one log.
+an `Outcome`. Therefore all kinds of workers behave in the same way, and each failure belongs to
+exactly one log.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ DEATHS = "its worker process ended several times while this log was evaluated or
 
 
 def run_one_log(task: Task) -> Outcome:
-    """Evaluate one log in a child of this process; returns the outcome in any case."""
+    """Evaluate one log in a child of this process. Always returns an outcome and never raises an
+    error."""
     if encodable(task.source) != task.source:  # it cannot be sent to the child as JSON
         return Outcome("unreadable", f"{encodable(task.source)}: {NO_UTF8}")
     outcome = template_for(task.function).run(task)
@@ -35,26 +37,28 @@ def run_one_log(task: Task) -> Outcome:
 
 
 class Workers(Protocol):
-    """Takes tasks and gives their outcomes, in any order."""
+    """Interface of all workers: they accept tasks and return outcomes in any order."""
 
     @property
     def slots(self) -> int:
-        """Approximate number of tasks that run at the same time; a cluster may grow and shrink."""
+        """Approximate number of tasks that run at the same time. The number of a cluster may
+        change."""
         ...
 
     def submit(self, tasks: Sequence[Task]) -> None:
-        """Take tasks; returns at once."""
+        """Submit tasks. The call returns at once."""
         ...
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
-        """Outcomes since the last call, waiting for the first at most `timeout` seconds.
+        """Return the outcomes since the last call. Wait for the first outcome for at most `timeout`
+        [s].
 
-        None: the task was cancelled before it began.
+        An outcome is None if its task was cancelled before it began.
         """
         ...
 
     def call_back(self) -> None:
-        """Cancel waiting tasks; running ones are finished."""
+        """Cancel waiting tasks. Running tasks are finished."""
         ...
 
     def close(self) -> None:
@@ -75,7 +79,7 @@ class AnyFuture(Protocol):
 
 
 class Futures:
-    """Pending futures and finished ones."""
+    """The pending and finished futures of tasks."""
 
     def __init__(self) -> None:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -87,7 +91,8 @@ class Futures:
         future.add_done_callback(self._ended.put)
 
     def ended(self, timeout: float) -> list[tuple[Any, Task]]:
-        """Futures that ended since the last call; waits at most `timeout` [s] for the first."""
+        """Return the futures that ended since the last call. Wait for the first future for at most
+        `timeout` [s]."""
         found: list[tuple[Any, Task]] = []
         try:
             while True:
@@ -105,7 +110,7 @@ class Futures:
 
 
 class ExecutorWorkers:
-    """Any `concurrent.futures.Executor`; the default is this machine."""
+    """Workers of any `concurrent.futures.Executor`. `here` uses threads on this machine."""
 
     def __init__(self, executor: Executor, slots: int) -> None:
         self.slots = slots
@@ -114,17 +119,18 @@ class ExecutorWorkers:
 
     @classmethod
     def here(cls, slots: int, bundles: Mapping[str, Bundle]) -> ExecutorWorkers:
-        """Threads of this process, each of which waits for a child."""
+        """Return workers on this machine: threads of this process, each of which waits for a child
+        process."""
         unpack(bundles)
         return cls(ThreadPoolExecutor(slots, thread_name_prefix="log"), slots)
 
     def submit(self, tasks: Sequence[Task]) -> None:
-        """Take tasks."""
+        """Submit tasks to the executor."""
         for task in tasks:
             self._futures.add_future(self._executor.submit(run_one_log, task), task)
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
-        """Outcomes since the last call."""
+        """Return the outcomes since the last call."""
         return [(task, outcome_of(future)) for future, task in self._futures.ended(timeout)]
 
     def call_back(self) -> None:
@@ -132,14 +138,14 @@ class ExecutorWorkers:
         self._futures.cancel()
 
     def close(self) -> None:
-        """Begin no more tasks and end those that still run here, because the interpreter waits for
-        its threads."""
+        """Begin no more tasks, and end the tasks that still run on this machine, because the
+        interpreter waits for its threads."""
         self._executor.shutdown(wait=False, cancel_futures=True)
         close_templates()
 
 
 def outcome_of(future: Any) -> Outcome | None:
-    """Outcome of a task; None if it was cancelled before it began."""
+    """Return the outcome of a task; None if the task was cancelled before it began."""
     try:
         found: Outcome = future.result()
     except CancelledError:
@@ -150,6 +156,6 @@ def outcome_of(future: Any) -> Outcome | None:
 
 
 def unique_keys(count: int) -> list[str]:
-    """Unique keys of Dask tasks. A path is not used as key, because Dask would return the old
-    result for an equal key."""
+    """Return unique keys for Dask tasks. The path of a log is not used as a key, because Dask would
+    return the old result for an equal key."""
     return [f"imucald-log-{uuid.uuid4().hex}" for _ in range(count)]

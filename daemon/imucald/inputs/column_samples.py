@@ -1,4 +1,5 @@
-"""Samples of a chunk of frames by channel: join several sources, assemble split triads."""
+"""Make the samples of a chunk of frames, by channel: join several sources, and assemble triads
+whose axes are in different frames."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ Rows = NDArray[np.int64]
 
 
 class ColumnSamples(Series, frozen=True, eq=False):
-    """A series with the origin of each sample; row: (N,) int64, row in the chunk."""
+    """Samples with their origin. row: (N,) int64, row of each sample's frame in the chunk."""
 
     row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -27,7 +28,8 @@ class Routed(Struct, frozen=True, eq=False):
     """The result of a chunk of frames.
 
     samples: by channel. rejected: by channel, the rows with a rejected sample, in order.
-    rejected_values: the rejected rows whose value was the reason, not the whole frame.
+    rejected_values: by channel, the rows of samples that were rejected because of their value (not
+    because the whole frame was rejected).
     events: (M,) stream times of all counted rejections [s], in order.
     """
 
@@ -38,7 +40,8 @@ class Routed(Struct, frozen=True, eq=False):
 
 
 def joined(found: list[TapSamples], selector: SourceSelector | None) -> ColumnSamples:
-    """Join complete samples of a channel by preference. For parts of triads, use `assembled`."""
+    """Join the samples of all sources of a channel. The preferred source is selected. For parts of
+    triads, use `assembled`."""
     whole = sorted(found, key=lambda part: part.tap.rank)
     if selector is not None:
         by_rank: dict[int, TapSamples] = {}
@@ -63,10 +66,11 @@ def assembled(
     refused: list[tuple[Tap, Rows]],
     refused_values: list[tuple[Tap, Rows]],
 ) -> ColumnSamples:
-    """Assemble a channel with split triads, with the same steps as for single frames, in row order.
+    """Assemble the samples of a channel whose axes are in different frames. The steps are the same
+    as for single frames, in row order.
 
-    refused: receives the rows at which a triad was incomplete. refused_values: the same, if a value
-    was the reason.
+    refused: list to which the rows of incomplete triads are added. refused_values: list to which
+    the rows of triads with a rejected value are added.
     """
     t_out: list[float] = []
     rows_out: list[int] = []
@@ -102,7 +106,7 @@ def guarded(
     ok: NDArray[np.bool_],
     reasons: Mapping[str, Rows],
 ) -> tuple[NDArray[np.bool_], Mapping[str, Rows]]:
-    """Apply a route's check to frames, and reject frames that come too often."""
+    """Apply a route's check to frames, and reject frames that exceed the allowed rate."""
     ours = ok.copy()
     for rows in reasons.values():
         ours[rows] = True

@@ -1,7 +1,8 @@
-"""Convert a signal's number to a quantity in SI: unit, sign, offset, plausibility.
+"""Convert the value of a signal to a quantity in SI: apply unit, sign and offset, and check
+plausibility.
 
-A number that is not available, implausible, saturated or not finite is rejected with a reason.
-Single numbers and columns give equal results.
+A value that is not available, implausible, saturated or not finite is rejected with a reason.
+Single values and columns give equal results.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from imucald.inputs.units import Unit
 
 OK: Final = 0
 REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range", "status")
-"""Why a number was rejected, by code; 0 is accepted. "status": the sensor's status rejects it."""
+"""The reason why a value was rejected, by code; code 0 means accepted. "status" means that the
+sensor's status signal rejects the value."""
 STATUS: Final = 5
 
 LIMITS: Final = {
@@ -30,7 +32,8 @@ LIMITS: Final = {
     "temperature": 1000.0,
     "flag": math.inf,
 }
-"""Largest plausible magnitude per dimension [SI]. No road vehicle or its sensors exceed it."""
+"""Largest plausible magnitude per dimension [SI]. No sensor in a road vehicle measures larger
+values."""
 
 
 class Conversion(Struct, frozen=True):
@@ -38,8 +41,9 @@ class Conversion(Struct, frozen=True):
 
     SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: limits of plausible
     physical values, included. `rails`: physical values from which the sensor is saturated
-    (included), or None. `not_available`: raw values with this meaning. `on_values`, `on_above`: for
-    flags. `step`: difference of two neighbouring values in SI; 0 if not known.
+    (included), or None. `not_available`: raw values that mean "not available". `on_values`,
+    `on_above`: values for which a flag is 1. `step`: difference of two neighbouring values in SI; 0
+    if not known.
     """
 
     unit: Unit
@@ -60,7 +64,8 @@ class Conversion(Struct, frozen=True):
 
     @property
     def source(self) -> Hashable:
-        """A key of the settings that determine the converted value, without those of its check."""
+        """A key of the settings that determine the converted value. Settings of the plausibility
+        check are not in the key."""
         return self.unit, self.sign, self.offset, self.on_values, self.on_above
 
     def scalar(self, raw: float | int, physical: float) -> tuple[float, int]:
@@ -113,7 +118,8 @@ class Conversion(Struct, frozen=True):
         return values, codes
 
     def _takes_all(self, physical: NDArray[np.float64]) -> bool:
-        """True if no value is rejected for its size. It is enough to check the extreme values."""
+        """True if no value is rejected for its size. Only the extreme values are checked, because
+        this is sufficient."""
         if not len(physical):
             return True
         ends = np.minimum.reduce(physical), np.maximum.reduce(physical)  # NaN if any is NaN

@@ -2,8 +2,8 @@
 
 An OBD-II answer to service 01 PID 0x0D is ``when: "data[1] == 0x41 and data[2] == 0x0D"`` and
 ``value: "data[3]"``. The language is Python's arithmetic and comparison on ``data[i]`` (one byte),
-``length`` and integers. Nothing else can be used in it. One function evaluates it for one frame
-with Python integers and for columns with int64. The results are equal.
+``length`` and integers. Nothing else is allowed. The same code evaluates an expression for one
+frame with Python integers and for columns with int64. The results are equal.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from imucald.core.errors import ConfigError
 
 MAX_TEXT = 300
-"""Longest accepted expression [characters]. A formula with eight bytes is much shorter."""
+"""Longest accepted expression [characters]. A formula that uses eight bytes is much shorter."""
 MAX_BYTE = 63
 """Highest byte index of a CAN FD frame."""
 MAX_SHIFT = 40
 """Largest shift [bit]: five bytes, enough for the widest raw field in practice."""
 MAX_MAGNITUDE = 2.0**53
-"""Largest magnitude of any intermediate value. Above it, float64 columns are not exact."""
+"""Largest magnitude of any intermediate value. Larger values are not exact in float64 columns."""
 
 _BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.LShift, ast.RShift, ast.BitAnd, ast.BitOr)
 _COMPARE = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
@@ -35,8 +35,8 @@ _COMPARE = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 class Expression:
     """A compiled raw expression.
 
-    `needs`: number of data bytes that a frame must have. Raises ConfigError with the reason for
-    text that is not in the language above.
+    `needs`: number of data bytes that a frame must have. Raises ConfigError with the reason if the
+    text is not in the language of this module.
     """
 
     def __init__(self, text: str) -> None:

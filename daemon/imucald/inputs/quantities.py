@@ -1,4 +1,5 @@
-"""List the numbers of a configuration's `signals` section: key -> channel, quantity, axis."""
+"""List all numbers that the section `signals` of a configuration requests, with channel, quantity
+and axis."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ class Wanted(Struct, frozen=True):
 
 
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
-    """Yield every number that the configuration's `signals` section names."""
+    """Yield every number that the section `signals` of the configuration requests."""
     for row in QUANTITIES.values():
         if row.width != 3:
             continue

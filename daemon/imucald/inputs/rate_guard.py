@@ -2,7 +2,8 @@
 
 Frames are counted in whole seconds of stream time. Therefore a burst after a stall is accepted, and
 single frames and columns give the same result. The usual rate is learnt from the first seconds. If
-a stated cycle is faster, it is used instead. No frame is refused before the usual rate is known.
+a stated cycle gives a higher rate, this rate is used instead. No frame is refused before the usual
+rate is known.
 """
 
 from __future__ import annotations
@@ -23,18 +24,20 @@ LEARNT_S = 10
 TIMES_USUAL = 2.5
 """Largest rate relative to the usual rate: one frame per 0.4 cycles, averaged over a second."""
 LEAST_STATED, LEAST_LEARNT = 20, 250
-"""Rates [1/s] that are always accepted, with a stated and with a learnt cycle. A sender with a
-stated cycle may send changes in between. A sender without one may wake up later. 250 frames per
-second are no load."""
+"""Rates [1/s] that are always accepted: LEAST_STATED with a stated cycle, LEAST_LEARNT with a
+learnt cycle. A sender with a stated cycle may send additional frames when values change. A sender
+without a stated cycle may begin to send faster later. 250 frames per second cause little load."""
 TWO_SENDERS = 1.6
-"""Three seconds with this multiple of the usual rate mean two senders. No clock is that wrong."""
+"""If the rate is this multiple of the usual rate for three seconds, there are two senders. No clock
+of a sender is wrong by this factor."""
 SECONDS = 3
 NO_LIMIT = 1e9
 FAULTY_COUNTERS = 0.05
-"""Smallest share of counter faults that also shows two senders, because two counters interleave.
-The limit is one fault in seventeen frames, if the other sender sends sixteen frames."""
+"""Smallest share of counter faults that also shows two senders, because their counters interleave.
+If the other sender sends sixteen frames for each of ours, one frame in seventeen has a fault."""
 _NOT_SENT = frozenset(("checksum", "short_frame", DOUBLED))
-"""Reasons that do not show a second sender: frames with an unknown sender, and copies."""
+"""Reasons of rejection that do not show a second sender: damaged frames (their sender is unknown),
+and copies."""
 
 Rows = NDArray[np.int64]
 
@@ -47,7 +50,7 @@ def _is_of_another(reason: str) -> bool:
 class RateGuard:
     """Checks the rate of the frames of one route.
 
-    stated: its stated cycle [s], or None. counted: whether it has a counter.
+    stated: stated cycle of the route [s], or None. counted: whether the route has a counter.
     """
 
     def __init__(self, stated: float | None = None, counted: bool = False) -> None:
@@ -62,7 +65,8 @@ class RateGuard:
         self._distrusted_until = -1
 
     def judge(self, t: float, reason: str) -> str:
-        """Return why a frame at stream time t [s] is rejected. reason: of its route, "" if good."""
+        """Return the reason why a frame at stream time t [s] is rejected, or "". reason: the reason
+        of the route's own check, "" if the frame is good."""
         if t >= self._ends:
             self._enter(int(t))
         if reason:
@@ -79,7 +83,8 @@ class RateGuard:
     def judge_columns(
         self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
     ) -> dict[str, Rows]:
-        """Do the same for many frames: return the rejected rows of good frames (N,), by reason."""
+        """Do the work of `judge` for columns. Return the rejected rows of the good frames (N,), by
+        reason."""
         if not len(t):
             return {}
         first = math.floor(t[0])
@@ -122,7 +127,7 @@ class RateGuard:
         return {reason: np.concatenate(rows) for reason, rows in refused.items()}
 
     def _is_usual(self, first: int, seen: Sequence[int]) -> bool:
-        """True if no frame can be refused in these seconds, as all seconds have few frames."""
+        """True if no frame can be refused in these seconds, because each second has few frames."""
         open_second = self._seen + (seen[0] if first == self._second else 0)
         most = max(*seen, open_second, *(before for before, _ in self._before))
         return most <= TWO_SENDERS * self._usual < math.inf and first > self._distrusted_until
@@ -135,7 +140,7 @@ class RateGuard:
         return max(TIMES_USUAL * self._usual, least) + max(0.0, math.floor(held_back))
 
     def _enter(self, second: int) -> None:
-        """End the seconds before this one."""
+        """Process the end of the seconds before `second`."""
         if second <= self._second:
             return
         if self._second >= 0:
@@ -183,7 +188,7 @@ class Spaced:
         return True
 
     def among(self, t: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Do the same for many events (N,)."""
+        """Do the work of `passes` for many events (N,)."""
         return np.array([self.passes(x) for x in t.tolist()], dtype=bool)
 
 

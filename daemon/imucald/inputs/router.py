@@ -1,8 +1,8 @@
 """Convert frames to samples. A router is compiled from the configuration and the databases.
 
-A `Router` receives single frames (live) or columns of frames (replay). The router returns samples
-by channel (see `samples`), which are the same in both cases. The router counts rejections by
-reason.
+A `Router` receives single frames (live) or columns of frames (replay). It returns samples by
+channel (see `core.samples`). The samples are the same in both cases. The router counts rejections
+by reason.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAsse
 from imucald.inputs.taps import Columns, Physical, Raw, Tap
 
 MAX_KNOWN_IDS = 4096
-"""Largest number of cached identifiers. A J1939 bus has few sources; an attacker may send many."""
+"""Largest number of cached identifiers. A J1939 bus has few different identifiers; an attacker may
+send many."""
 
 OF_SENSOR = frozenset(("accel", "gyro", "mag"))
 """Channels of the sensor that is calibrated."""
@@ -45,7 +46,7 @@ Rows = NDArray[np.int64]
 
 
 class RouteWatcher(Protocol):
-    """Sees the frames and values of a route in columns, for statistics."""
+    """Receives the frames and values of a route in columns, for statistics."""
 
     def see_frames(
         self,
@@ -55,18 +56,18 @@ class RouteWatcher(Protocol):
         bad: Mapping[str, Rows],
         rejected: Mapping[str, Rows],
     ) -> None:
-        """See frames and what `check_columns` says of them; rejected: bad ones, and those that come
-        too often."""
+        """Process frames with the results of `check_columns` (good, bad). rejected: the bad frames
+        and the frames that exceed the allowed rate, by reason."""
 
     def see_values(self, columns: Columns) -> None:
-        """See the values of accepted frames."""
+        """Process the values of accepted frames."""
 
 
 class Router:
     """Converts frames to samples.
 
-    routes: one for each used message (or raw expression), see `routes`. Those that give signs to
-    others come first.
+    routes: one for each used message (or raw expression), see `routes`. Routes with sign signals
+    for other routes are first.
     derive_speed: whether the speed is computed from the wheels. derive_reverse: whether a negative
     speed means reverse.
     """
@@ -79,7 +80,7 @@ class Router:
     ) -> None:
         self.routes = tuple(routes)
         self.watchers: Sequence[RouteWatcher] = ()
-        """One for each route, or none."""
+        """One watcher for each route, or an empty sequence."""
         self.rejected: Counter[str] = Counter()
         """Number of rejected frames and samples, by reason."""
         self.used = 0
@@ -102,7 +103,8 @@ class Router:
         }
 
     def _join_senders(self) -> None:
-        """Make all messages of the sensor use one sender. Each parallel sensor has its own."""
+        """Make all messages of the sensor use the same sender. Each parallel sensor has its own
+        sender."""
         joined_senders(
             route.sender
             for route in self.routes
@@ -124,7 +126,7 @@ class Router:
 
     @property
     def channels(self) -> frozenset[str]:
-        """The channels that can have samples."""
+        """The channels for which the configuration gives samples."""
         found = {tap.channel for tap in self._taps()}
         if self._derive_speed:
             found.add("speed")
@@ -166,14 +168,13 @@ class Router:
         )
 
     def same_sources(self, former: Router) -> frozenset[str]:
-        """Return the common channels of both routers with equal values from equal frames."""
+        """Return the channels of both routers for which equal frames give equal values."""
         both = self.channels & former.channels
         return frozenset(c for c in both if self.source(c) == former.source(c))
 
     def go_on_from(self, former: Router, same: Collection[str]) -> None:
-        """Continue with the state of another router: counts, and state of unchanged senders.
-
-        same: the result of `same_sources`.
+        """Continue with the state of another router: counts, and the state of routes with unchanged
+        senders. same: the result of `same_sources`.
         """
         before: dict[Hashable, deque[SignalRoute]] = {}
         for route in former.routes:
@@ -199,10 +200,11 @@ class Router:
     ) -> tuple[list[Sample], list[str], list[str]]:
         """Process one frame. Return its samples and two lists of channels with a rejected sample.
 
-        The first list is of all rejections, the second only of samples rejected for their value. A
-        completely rejected frame is a gap like a lost frame. A sample rejected for its value may
-        have been a large value. t: stream time [s]. can_id: with the flag for 29 bits. Channels of
-        a recording are ignored, because a live bus is one bus.
+        The first list contains the channels of all rejected samples. The second list contains only
+        the channels of samples that were rejected for their value. The lists differ because a
+        completely rejected frame is a gap like a lost frame, but a sample rejected for its value
+        may have been a large value. t: stream time [s]. can_id: with the flag for 29 bits. The
+        configured channels of a recording are ignored, because a live bus is a single bus.
         """
         samples: list[Sample] = []
         refused: list[Tap] = []
@@ -235,7 +237,8 @@ class Router:
         )
 
     def _selects(self, t: float, tap: Tap) -> bool:
-        """True if a tap's samples would be used now. If not, a rejection loses nothing."""
+        """True if the samples of a tap would be used at time t. If not, a rejected sample is no
+        loss."""
         selector = self._selectors.get(tap.channel)
         return selector is None or selector.selects(t, tap.rank)
 
@@ -343,7 +346,8 @@ class Router:
     def _chosen(
         self, t: NDArray[np.float64], frames: FrameColumns, found: Sequence[Rows]
     ) -> Sequence[Rows]:
-        """Return the rows by route. With several senders, only rows of the chosen one."""
+        """Return the rows of each route. If a message has several senders, only the rows of the
+        chosen sender are returned."""
         asked = {
             k: Asked(route.sender, found[k], t.take(found[k]))
             for k, route in enumerate(self.routes)
@@ -359,7 +363,7 @@ class Router:
     def _rejected_rows(
         self, t: NDArray[np.float64], refused: list[tuple[Tap, Rows]]
     ) -> dict[str, Rows]:
-        """Return by channel the rejected rows that would have been used."""
+        """Return the rejected rows that would have been used, by channel."""
         found: dict[str, list[Rows]] = {}
         for tap, rows in refused:
             selector = self._selectors.get(tap.channel)

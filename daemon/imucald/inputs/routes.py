@@ -1,4 +1,4 @@
-"""Routes: a route is one message (or one raw expression) with the quantities in it."""
+"""Routes. A route converts the frames of one message (or one raw expression) to quantities."""
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
 
 
 def is_of_any_sender(match: IdMatch) -> bool:
-    """True if the frames of several J1939 source addresses match."""
+    """True if frames with different J1939 source addresses match."""
     return bool(match.can_id & CAN_EFF_FLAG) and not match.mask & J1939_ADDRESS_MASK
 
 
 class MessageRoute:
     """The route of a message in a database.
 
-    signs: for signals that are magnitudes. Key: index of the signal in the plan. Value: index of
-    the sign signal, which is not 0 if the value is negative, or a sign in another message.
-    given: for sign signals of magnitudes in other messages, by index.
+    signs: signs of signals that are magnitudes. The key is the index of the signal in the plan. The
+    value is the index of its sign signal in this message, or a `SignBit` of another message. A sign
+    signal is not 0 if the value is negative. given: sign signals of this message for magnitudes in
+    other messages, by index.
     """
 
     def __init__(
@@ -74,7 +75,8 @@ class MessageRoute:
         return self.name, self.match
 
     def source_of(self, tap: Tap) -> Hashable:
-        """Key of identifiers, bits, multiplexers, scaling and conversion."""
+        """Return a key of all settings that determine a tap's values: identifiers, bits,
+        multiplexers, scaling and conversion."""
         found = []
         for component in tap.components:
             signal = self.plan.signals[component.index]
@@ -87,7 +89,8 @@ class MessageRoute:
         return self.match, tap.source, tuple(found)
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """Take over counter, distrust and usual rate if the protection is the same."""
+        """Continue with the former route's state (counter, distrust, usual rate) if the protection
+        is the same."""
         if not isinstance(former, MessageRoute):
             return
         spec, before = self.checker.spec, former.checker.spec
@@ -190,12 +193,13 @@ class RawRoute:
         return self.match, None if self._when is None else self._when.text
 
     def source_of(self, tap: Tap) -> Hashable:
-        """Key of the frames, the value's expression and the conversion."""
+        """Return a key of the identifiers, the expressions and the conversion."""
         conversions = tuple(component.conversion.source for component in tap.components)
         return self.frame_key, self._value.text, tap.source, conversions
 
     def go_on_from(self, former: SignalRoute) -> None:
-        """Take over the usual rate; also counter and distrust if the protection is the same."""
+        """Continue with the former route's usual rate. If the protection is the same, also continue
+        with its counter and distrust."""
         self.guard = former.guard
         if not isinstance(former, RawRoute) or self.checker is None or former.checker is None:
             return
@@ -203,8 +207,8 @@ class RawRoute:
             self.checker = former.checker
 
     def check(self, t: float, data: bytes) -> str | None:
-        """Check the message's protection (with every frame of the message), the condition, and the
-        length that the value needs."""
+        """Check the protection of the message, the condition, and the length that the value needs.
+        Every frame of the message is used for the check of the protection."""
         reason = None if self.checker is None else self.checker.check(t, data)
         if self._when is not None and not (
             len(data) >= self._when.needs and self._when.holds(data)
@@ -213,7 +217,7 @@ class RawRoute:
         return reason or ("" if len(data) >= self._value.needs else "short_frame")
 
     def numbers(self, t: float, data: bytes) -> tuple[Raw, Physical]:
-        """Return the value; raw and physical values are equal."""
+        """Return the value of the expression as raw value and as physical value; both are equal."""
         number = self._value.number(data)
         return (number,), (number if math.isfinite(number) else math.nan,)
 
@@ -241,4 +245,4 @@ class RawRoute:
 
 
 SignalRoute = MessageRoute | RawRoute
-"""Both have the same attributes and methods."""
+"""A route of either kind. Both classes have the same attributes and methods."""

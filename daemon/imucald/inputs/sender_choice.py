@@ -24,8 +24,8 @@ SENDER_SETTLING = 1.5
 several cycles of any sensor. Therefore all messages of a sensor, and each start of the program,
 make the same choice."""
 AS_OFTEN = 2
-"""A candidate must send at least 1 / AS_OFTEN of the frames of the most frequent one. A single
-frame of a unit that starts does not count."""
+"""A candidate must send at least 1 / AS_OFTEN of the number of frames of the most frequent
+candidate. Therefore a unit that sends a single frame at its start is no candidate."""
 NOT_AVAILABLE = 0xFF
 """A payload with only this byte holds no data (J1939-71, 5.1.4). Such a payload is ignored in the
 choice."""
@@ -34,7 +34,8 @@ Rows = NDArray[np.int64]
 
 
 class SenderChoice:
-    """Chooses one sender of a message permanently. Another sensor may have another mount.
+    """Chooses one sender of a message. The choice is permanent, because another sender is another
+    sensor with another mount.
 
     All senders are accepted until a frame with data arrives.
     """
@@ -48,7 +49,7 @@ class SenderChoice:
 
     @property
     def address(self) -> int | None:
-        """The address of the chosen sender; None before its first frame."""
+        """The address of the chosen sender; None before the first frame with data."""
         return self._address
 
     @property
@@ -72,7 +73,8 @@ class SenderChoice:
         return self._address is None or address == self._address
 
     def choosing(self, frames: FrameColumns, rows: Rows, t: NDArray[np.float64]) -> tuple[int, int]:
-        """Return the range of frames (N,) used for the choice: first, and first after it."""
+        """Return the range of the frames (N,) that are used for the choice: index of the first
+        frame, and index after the last frame."""
         end, first = self._end, 0
         if math.isinf(end):
             length = np.arange(frames.data.shape[1]) < frames.length[rows][:, None]

@@ -1,8 +1,9 @@
-"""Settings of signals: raw values without a value, configured numbers, message protection.
+"""Settings of signals: raw values that mean "no value", configured numbers, and the protection of
+messages.
 
 The value table of a database names raw values that mean "no value": SNA, not available, invalid,
-error, init; in German ungueltig, nicht verfuegbar, Fehler. A signal holds such a raw value instead
-of a measured value.
+error, init; in German ungueltig, nicht verfuegbar, Fehler. A signal has such a raw value if there
+is no measured value.
 
 A configured number that is compared with a signal must be a value that the signal can have.
 
@@ -48,7 +49,7 @@ def no_values(choices: Mapping[int, str]) -> tuple[int, ...]:
 def as_decoded(signal: Signal, value: float) -> float:
     """Return the decoder's result for the raw number that belongs to `value` [the signal's unit].
 
-    The result may differ from `value` in the last bit, as 3 times 0.1 differs from 0.3. Raises
+    The result may differ from `value` in the last bit, just as 3 times 0.1 differs from 0.3. Raises
     ConfigError if no raw number gives this value, because the comparison would never be true.
     """
     if signal.is_float or not signal.scale:
@@ -68,7 +69,7 @@ def as_decoded(signal: Signal, value: float) -> float:
 
 
 def check_raw(signal: Signal, raw: int) -> int:
-    """Return the raw number. Raises ConfigError if it does not fit the signal's bits."""
+    """Return `raw`. Raises ConfigError if this number does not fit the bits of the signal."""
     if signal.is_float or signal.length < 1:  # decoding refuses a length below 1
         return raw
     low, high = raw_limits(signal)
@@ -86,11 +87,11 @@ def checker_for(
 ) -> MessageChecker:
     """Make the checker of a message. Without configuration, only the length is checked.
 
-    A cycle time in the database alone gives no time-out, because many databases state one for
-    event-driven messages.
+    A cycle time that only the database states gives no time-out, because many databases state a
+    cycle time for event-driven messages.
 
-    least: shortest accepted frame [bytes]; default: the length of the message. With a checksum, all
-    bytes must be present.
+    least: shortest accepted frame [bytes]; default: the length of the message. If the message has a
+    checksum, all bytes must be present.
 
     Raises ConfigError (without place) if the configuration does not fit the message.
     """

@@ -1,4 +1,4 @@
-"""A sign bit in another message than its magnitude."""
+"""A sign bit that is in a different message than the magnitude."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from imucald.inputs.source_selector import MAX_SKEW
 class SignBit:
     """The last known sign of a magnitude: -1, 1, or NaN if it is unknown or too old.
 
-    A sign is used until one tick after the next frame of its message is due. source: a key of the
-    bit. Single frames and columns give the same result: first call `begin_chunk`, then
-    `see_columns`, then `at_columns`.
+    A sign is valid until one tick after the next frame of its message is due. source: key that
+    identifies the bit. Single frames and columns give the same result: first call `begin_chunk`,
+    then `see_columns`, then `at_columns`.
     """
 
     def __init__(self, source: Hashable) -> None:
@@ -31,7 +31,7 @@ class SignBit:
         self._cycle = cycle or 0.0
 
     def go_on_from(self, former: SignBit) -> None:
-        """Take over the last sign."""
+        """Continue with the last sign of `former`."""
         self._last = former._last
 
     def see(self, t: float, bit: float) -> None:

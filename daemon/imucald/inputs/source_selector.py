@@ -1,4 +1,5 @@
-"""Select the first active source of a quantity. Collect samples of taps, and assemble triads."""
+"""Select the preferred active source of a quantity. Collect samples of taps, and assemble
+triads."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 from imucald.inputs.taps import Tap
 
 SOURCE_HOLD = 1.5
-"""A less preferred source is selected after the preferred sources were silent for this time [s].
-The time is longer than the cycle of any vehicle speed and shorter than a manoeuvre."""
+"""If all preferred sources have been silent for this time, the next source is selected [s]. The
+time is longer than the cycle of any speed signal and shorter than a driving manoeuvre."""
 
 Times = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -59,7 +60,8 @@ class SourceSelector:
         return self.selects_columns(t, row, rank)
 
     def selects_columns(self, t: Times, row: Rows, rank: int) -> NDArray[np.bool_]:
-        """Do the work of `selects` at times (N,) and rows of a complete chunk."""
+        """Do the work of `selects` for times (N,) and rows, after all samples of the chunk were
+        registered."""
         selected = np.ones(len(t), dtype=bool)
         for better in range(rank):
             selected &= t - self._last_at(better, row) > SOURCE_HOLD
@@ -80,11 +82,13 @@ class SourceSelector:
 
 
 MAX_SKEW = 0.1
-"""Largest time difference of the parts of a triad from different frames [s]: one tick."""
+"""Largest time difference between the values of a triad that are from different frames [s]: one
+tick."""
 
 
 class TapSamples(Struct, frozen=True, eq=False):
-    """The results of one tap for a chunk: times, rows, values (N, k) or (N,), codes."""
+    """The samples of one tap in a chunk: times, rows, values (N, k) or (N,), and codes
+    (`conversion.REASONS`)."""
 
     tap: Tap
     t: NDArray[np.float64]
@@ -99,7 +103,8 @@ class TapSamples(Struct, frozen=True, eq=False):
         )
 
     def merged(self, other: TapSamples) -> TapSamples:
-        """Return the samples of both in the order of rows. At equal rows, `self` comes first."""
+        """Return the samples of both taps in the order of rows. In the same row, the sample of
+        `self` is first."""
         row = np.concatenate([self.row, other.row])
         order = np.argsort(row, kind="stable")
         return TapSamples(
@@ -114,9 +119,9 @@ class TapSamples(Struct, frozen=True, eq=False):
 class TriadAssembler:
     """Assembles one sample (a triad, four wheel speeds) from values of several frames.
 
-    If a value arrives again before the sample is complete, the next sample begins. In this case,
-    another part was lost or has a lower rate. Therefore no part is older than a cycle of the
-    others.
+    If a value arrives again before the sample is complete, a new sample begins, because another
+    value was lost or has a lower rate. Therefore no value in a sample is older than one cycle of
+    the other values.
     """
 
     def __init__(self, width: int) -> None:
@@ -126,7 +131,8 @@ class TriadAssembler:
     def add_parts(
         self, t: float, slots: Sequence[int], values: Sequence[float] | None
     ) -> tuple[Sequence[float] | None, bool]:
-        """Return (the complete triad or None, whether a rejected part made a sample invalid)."""
+        """Add some values of a sample. Return the complete sample or None, and whether a rejected
+        value made a sample invalid."""
         if values is None:
             self._values = [None] * len(self._values)
             return None, True

@@ -1,4 +1,4 @@
-"""Taps: a tap is the set of values that a message or raw expression gives to a channel."""
+"""Taps. A tap is the set of values that one message or raw expression contains for one channel."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ ABSENT = -1
 """Code of a value that is not in the frame (because of the multiplexer)."""
 
 PLANAR_Z = GRAVITY
-"""The assumed z value of a planar accelerometer [m/s^2]. The missing axis is declared as level."""
+"""The assumed z value of an accelerometer with two axes [m/s^2]. The configuration states that this
+sensor is mounted level."""
 
 Raw = Sequence[int | float | None]
 Physical = Sequence[float | None]
@@ -24,7 +25,8 @@ Columns = Sequence[tuple[NDArray[np.generic], NDArray[np.float64], NDArray[np.bo
 
 
 class Component(Struct, frozen=True):
-    """One number of a tap: index in the route's signals, and conversion."""
+    """One number of a tap. index: index in the signals of the route. conversion: conversion to
+    SI."""
 
     index: int
     conversion: Conversion
@@ -43,9 +45,10 @@ class Status(Struct, frozen=True):
 class Tap(Struct, frozen=True):
     """The values of a route for one channel.
 
-    slots: indices in the channel's values, in the order of components. complete: whether these are
-    all values of the channel. third: assumed third value of a two-axis sensor; None if it has three
-    axes. rank: 0 is the preferred source. statuses: all must state that the values can be used.
+    slots: indices in the channel's values, in the order of components. complete: whether the tap
+    contains all values of the channel. third: assumed third value of a two-axis sensor; None if it
+    has three axes. rank: 0 is the preferred source. statuses: status signals; all of them must
+    state that the values can be used.
     """
 
     channel: str
@@ -58,7 +61,8 @@ class Tap(Struct, frozen=True):
 
     @property
     def source(self) -> Hashable:
-        """A key of the values that the tap gives, without their checks."""
+        """A key of all settings that determine the tap's values. Settings of checks are not in the
+        key."""
         return self.channel, self.rank, self.slots, self.third
 
     def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
@@ -80,7 +84,8 @@ class Tap(Struct, frozen=True):
         return values, 0
 
     def array(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-        """Return values (N,) or (N, k) in SI and codes (N,). The first fault of a row counts."""
+        """Return values (N,) or (N, k) in SI and codes (N,). If several values of a row have a
+        fault, the first fault determines the code."""
         n = len(columns[self.components[0].index][1])
         codes = np.zeros(n, dtype=np.int8)
         values = np.empty((len(self.components) + (self.third is not None), n))

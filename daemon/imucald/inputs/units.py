@@ -63,7 +63,7 @@ _FOLDED: Mapping[tuple[str, str], Unit] = {
 
 T = TypeVar("T")
 _Part = tuple[float, tuple[tuple[str, int], ...]]
-"""SI value of 1, and the base dimensions with their exponents."""
+"""A part of a compound unit: the SI value of 1, and the base dimensions with their exponents."""
 
 
 def _parts(dimension: tuple[tuple[str, int], ...], sizes: Mapping[str, float]) -> dict[str, _Part]:
@@ -103,7 +103,8 @@ _OF_BASE: Mapping[tuple[tuple[str, int], ...], str] = {
     (("length", 1), ("time", -2)): "acceleration",
 }
 LEAST_COUNTS = 4.0
-"""A number of at least this value is a factor; a smaller one is an exponent."""
+"""In the text of a unit, a number of at least this value is a factor; a smaller number is an
+exponent."""
 _SHORTEST_CUT, _LONGEST_ENDING = 4, 2
 """Smallest length of a shortened word ("squar"), and largest length of an ending."""
 
@@ -137,7 +138,7 @@ def find_unit(text: str, dimension: str) -> Unit:
 
 
 def is_unit(text: str) -> bool:
-    """True if a text is any unit, of motion or not. "counts" and "" are not units."""
+    """True if a text is a known unit of any dimension. "counts" and "" are not units."""
     name = text.strip()
     return bool(name) and (
         any((d, name.casefold()) in _FOLDED for d in DIMENSIONS if d != "flag")
@@ -165,7 +166,8 @@ def _divided(text: str) -> str:
 
 
 def _of_words(text: str) -> tuple[float, str] | None:
-    """Return SI value and dimension ("" if not of motion) of a unit in words or symbols."""
+    """Return SI value and dimension of a unit in words or symbols. The dimension is "" if imucald
+    has no quantity of this dimension. None if the text is not a unit."""
     tokens = list(_tokens(text))
     size, exponents, sign = 1.0, Counter[str](), 1
     last: tuple[_Part, int] | None = None
@@ -211,7 +213,8 @@ def _tokens(text: str) -> Iterator[str]:
 
 
 def _meant(token: str, known: Mapping[str, T]) -> T | None:
-    """Look up a token in a table: as a whole word, a shortened word, or with an ending."""
+    """Look up a token in a table. The token may be a complete word, a shortened word, or a word
+    with an ending."""
     if token in known or len(token) < _SHORTEST_CUT:
         return known.get(token)
     for word, meaning in known.items():

@@ -39,7 +39,7 @@ _SENSORS = ("accel", "gyro")
 
 
 class LoadedDatabase(Struct):
-    """A database of the configuration, read."""
+    """A database of the configuration and its messages."""
 
     entry: cfg.DatabaseSettings
     database: Database
@@ -65,7 +65,8 @@ Groups = dict[tuple[str, str | None, int | None], _MessageSignals]
 
 
 def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
-    """Read the configuration's databases. Raises ConfigError with the line of an unreadable one."""
+    """Read the databases of the configuration. For an unreadable database, raises ConfigError with
+    the line in the configuration."""
     found = []
     for i, entry in enumerate(loaded.config.database):
         place: Place = ("database", i)
@@ -108,7 +109,8 @@ def compile_router(loaded: LoadedConfig) -> Router:
 
 
 def _signed_speed(groups: Iterable[_MessageSignals]) -> bool:
-    """True if a speed signal can be negative. If so, its sign shows reverse."""
+    """True if a speed signal can be negative. In this case its sign is used as the reverse
+    signal."""
     return any(
         w.channel == "speed" and (g.message.signal(g.names[i]).is_signed or i in g.signs)
         for g in groups
@@ -141,7 +143,7 @@ def _grouped(
     wanted: Wanted,
     path: str,
 ) -> tuple[_MessageSignals, Signal]:
-    """Return a signal and the requested ones of its message."""
+    """Return a signal, and the group of requested signals of its message."""
     holder, message, signal = _find(loaded, databases, wanted, path)
     channel = wanted.source.channel or holder.entry.channel
     address, j1939 = wanted.source_address, holder.entry.j1939
@@ -159,7 +161,8 @@ def _sign_of(
     group: _MessageSignals,
     signal: Signal,
 ) -> int | SignBit:
-    """Return the sign of a magnitude: an index in its message, or the sign of another message."""
+    """Return the sign of a magnitude: the index of its sign signal in the same message, or a
+    `SignBit` of another message."""
     path = wanted.source.sign_signal or ""
     at_place = structs.replace(wanted, place=(*wanted.place, "sign_signal"))
     of_sign, sign = _grouped(loaded, databases, groups, at_place, path)
@@ -189,7 +192,8 @@ def _sign_of(
 
 
 def _signed_index(group: _MessageSignals, signal: Signal, sign: int | SignBit | None) -> int:
-    """Return the index of a signal with this sign in the requested ones of its message."""
+    """Return the index of a signal with a given sign in the group of requested signals. The signal
+    is added if necessary."""
     for index, name in enumerate(group.names):
         if name == signal.name and group.signs.get(index) == sign:
             return index
@@ -274,7 +278,8 @@ def _possible(
     signal: Signal,
     numbers: Iterable[Number],
 ) -> tuple[Number, ...]:
-    """Apply `check` to configured numbers. If it refuses one, ConfigError names their place."""
+    """Apply `check` to configured numbers, and return the results. If `check` refuses a number,
+    ConfigError states the place in the configuration."""
     try:
         return tuple(check(signal, number) for number in numbers)
     except (ConfigError, DatabaseError) as error:
@@ -298,7 +303,8 @@ def _unit(text: str | None, dimension: str) -> Unit:
 
 
 def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, float] | None:
-    """Return the physical values at which the sensor is saturated."""
+    """Return the lowest and the highest physical value of the signal, at which the sensor is
+    saturated; None if not applicable."""
     if signal is None or signal.is_float:
         return None
     try:
@@ -404,7 +410,8 @@ def _tap_key(group: _MessageSignals, wanted: Wanted, index: int) -> Hashable:
 
 
 def _third(wanted: Wanted) -> float | None:
-    """Return the missing axis of a two-axis sensor: gravity for an accelerometer, else unknown."""
+    """Return the assumed value of the missing axis of a two-axis sensor: gravity for an
+    accelerometer, else NaN. None for a sensor with three axes."""
     if not wanted.planar:
         return None
     return PLANAR_Z if wanted.channel == "accel" else math.nan

@@ -1,1 +1,1 @@
-"""Self-contained pages and drawings; pages need the extra `report`."""
+"""Self-contained HTML pages, and drawings. Pages need the extra `report`."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 
 PLACE = '<nav class="contents" aria-label="Contents"></nav>'
-"""Placeholder of the list in a template."""
+"""Placeholder for the contents list in a template."""
 HEADING = re.compile(r"<h2>(.*?)</h2>", re.S)
 
 
 def with_contents(body: str) -> str:
-    """Give each section heading of a page's escaped body an anchor, and list them at `PLACE`."""
+    """Add an anchor to each section heading of a page, and insert the list of these anchors at
+    `PLACE`. body: the page's HTML text with escaped content."""
     links: list[str] = []
     names: set[str] = set()
 

@@ -1,4 +1,4 @@
-"""Reduce long series for drawing, without a visible loss."""
+"""Reduce the number of points of long series for drawing, without a visible difference."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from imucald.core.arrays import Array
 
 @dataclass(frozen=True)
 class Envelope:
-    """Lowest, highest and mean value in equal segments; (B,), nan for an empty segment."""
+    """Lowest, highest and mean value of a series in each of B equal segments of time; (B,), NaN for
+    an empty segment."""
 
     t: Array
     low: Array
@@ -20,8 +21,8 @@ class Envelope:
 
 
 def envelope(t: Array, x: Array, bins: int) -> Envelope:
-    """Return the envelope of x (N,) over t (N,), which never decreases; rows that are not finite
-    are left out."""
+    """Return the envelope of x (N,) over t (N,). t must not decrease. Values that are not finite
+    are left out. bins: number of segments."""
     known = np.isfinite(x) & np.isfinite(t)
     start, stop = _span(t)
     edges = np.linspace(start, stop, bins + 1)
@@ -49,7 +50,8 @@ def _span(t: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Trend:
-    """Mean and spread (16th and 84th percentile) of y in bins of x; (B,), empty bins left out."""
+    """Mean and spread (16th and 84th percentile) of y in B bins of x; (B,). Bins with too few rows
+    are left out."""
 
     x: Array
     mean: Array
@@ -60,7 +62,7 @@ class Trend:
 def trend(x: Array, y: Array, bins: int, least: int) -> Trend:
     """Return y as a function of x, in equal bins from the 0.5th to the 99.5th percentile of x.
 
-    least: fewest rows in a bin.
+    least: smallest number of rows of a bin.
     """
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
@@ -81,7 +83,8 @@ def trend(x: Array, y: Array, bins: int, least: int) -> Trend:
 
 
 def log_bins(frequency: Array, density: Array, bins: int) -> tuple[Array, Array]:
-    """Return a spectrum's means in logarithmic bins; values that are not positive are left out."""
+    """Return the means of a spectrum in logarithmic bins of frequency. Values that are not positive
+    are left out."""
     known = (frequency > 0.0) & np.isfinite(density) & (density > 0.0)
     f, s = frequency[known], density[known]
     if len(f) <= bins:
@@ -92,8 +95,9 @@ def log_bins(frequency: Array, density: Array, bins: int) -> tuple[Array, Array]
 
 
 def clearest_segment(t: Array, before: Array, after: Array, seconds: float) -> slice:
-    """Return the rows of the segment with the largest reduction of the residual (or the largest
-    residual)."""
+    """Return the rows of the segment of `seconds` in which the residual is reduced most from
+    `before` to `after`. If the residual is not reduced in total, return the segment with the
+    largest residual."""
     squares = np.nan_to_num(before) ** 2
     fall = squares - np.nan_to_num(after) ** 2
     worth = fall if fall.sum() > 0.0 else squares

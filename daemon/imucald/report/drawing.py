@@ -1,10 +1,10 @@
-"""Draw the mount of a sensor: a car from the side, from above and from behind, with the sensor's
-axes.
+"""Draw the mount of a sensor: a car from the side, from above and from behind, with the axes of the
+sensor.
 
-The drawing is plain SVG text, made without any library; pages, the README and the live page show
-the same drawing. The views are orthographic; in the views from the side and from above, forward is
-to the right. The axes' colours are distinguishable with any colour blindness (Okabe and Ito). Light
-or dark mode follows the reader's setting.
+The drawing is plain SVG text, made without any library. Report pages, the README and the live page
+show the same drawing. The views are orthographic. In the views from the side and from above,
+forward is to the right. The axes' colours are distinguishable with any colour blindness (Okabe and
+Ito). Light or dark mode follows the reader's setting.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ CENTRE: Point = (150.0, 106.0)
 """Position of the sensor in each view."""
 AXIS_LENGTH = 66.0
 BOX = np.array([22.0, 16.0, 6.0])
-"""Half sizes of the sensor's box along its axes: it is flat, so that its faces can be
+"""Half sizes of the sensor's box along its axes. The box is flat, so that its faces can be
 distinguished."""
 END_ON = 0.2
-"""If the drawn part of an axis is shorter than this share, the axis points at the reader or
-away."""
+"""If the drawn length of an axis is shorter than this share of its full length, the axis points at
+the reader or away from the reader."""
 LABEL_GAP = 11.0
 TURN_RADIUS = 46.0
 
@@ -55,9 +55,11 @@ font:13px "Helvetica Neue",Arial,"Liberation Sans",sans-serif}
 
 @dataclass(frozen=True)
 class View:
-    """One orthographic view: the vehicle directions that point right and up in the picture.
+    """One orthographic view. right, up: the vehicle directions that point right and up in the
+    picture.
 
-    behind: names of the directions at its edges. car: the drawing of the car around `CENTRE`.
+    behind: names of the vehicle directions at the edges of the picture. car: drawing of the car
+    around `CENTRE`.
     """
 
     title: str
@@ -68,11 +70,11 @@ class View:
 
     @property
     def towards(self) -> Array:
-        """The direction that points at the reader."""
+        """The vehicle direction that points at the reader, unit vector (3,)."""
         return np.cross(np.array(self.right), np.array(self.up))
 
     def place(self, v: Array) -> Point:
-        """Point in the picture where a vector from the sensor ends."""
+        """Return the point in the picture at which the vector `v` from the sensor ends."""
         x, y = float(v @ np.array(self.right)), float(v @ np.array(self.up))
         return CENTRE[0] + x, CENTRE[1] - y
 
@@ -105,16 +107,15 @@ VIEWS = (
 
 
 def drawing(R_vehicle_from_sensor: Matrix3, words: str) -> str:
-    """Return the drawing as SVG text; R: (3, 3). words: text below it, also for readers who cannot
-    see it."""
+    """Return the drawing as SVG text. words: text below the drawing, which is also the description
+    for readers who cannot see it."""
     views = [_view(view, _sensor(view, R_vehicle_from_sensor)) for view in VIEWS]
     return _sheet(views, [words], words)
 
 
 def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
-    """Return each view as a separate SVG, for pages that put them side by side or in a column.
-
-    The page contains `STYLE`; within HTML the SVG has no name space.
+    """Return each view as a separate SVG, for pages that arrange the views themselves. The page
+    must contain `STYLE`. The SVG texts have no name space, because they are used within HTML.
     """
     return [
         f'<svg class="sits" role="img" viewBox="0 0 {VIEW_WIDTH:g} {VIEW_HEIGHT:g}">'
@@ -125,7 +126,8 @@ def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
 
 
 def axes_drawing() -> str:
-    """Return the vehicle's axes with the positive turns of roll, pitch and yaw, as SVG text."""
+    """Return a drawing of the vehicle's axes, and of the positive directions of roll, pitch and
+    yaw, as SVG text."""
     turns = "positive pitch: nose down", "positive yaw: to the left", "positive roll: left side up"
     views = [
         _view(view, "".join(_axes(view, np.eye(3))) + _turn(view, text))
@@ -136,7 +138,7 @@ def axes_drawing() -> str:
 
 
 def _sheet(views: Sequence[str], lines: Sequence[str], title: str) -> str:
-    """Three views side by side, text lines below."""
+    """Return an SVG with the views side by side and text lines below."""
     width = VIEW_WIDTH * len(views)
     wrapped = [part for line in lines for part in _wrapped(line, 118)]
     height = VIEW_HEIGHT + 20.0 * len(wrapped) + (8.0 if wrapped else 0.0)
@@ -156,7 +158,7 @@ def _sheet(views: Sequence[str], lines: Sequence[str], title: str) -> str:
 
 
 def _wrapped(line: str, columns: int) -> Iterator[str]:
-    """Break a line that is too long after its semicolons."""
+    """Break a line after a semicolon if it is longer than `columns`."""
     row = ""
     for part in line.split("; "):
         if row and len(row) + len(part) > columns:
@@ -192,7 +194,7 @@ def _sensor(view: View, R: Matrix3 | None) -> str:
 
 
 def _faces(view: View, R: Matrix3) -> Iterator[str]:
-    """The visible faces of the box, the farthest first."""
+    """Yield the visible faces of the sensor's box, the farthest face first."""
     seen = []
     for axis in range(3):
         for sign in (1.0, -1.0):
@@ -217,13 +219,14 @@ def _axes(view: View, R: Matrix3) -> list[str]:
 
 
 def _is_end_on(view: View, v: Array) -> bool:
-    """True if the reader looks along the axis; then it is drawn as a ring."""
+    """True if the reader looks along the axis. Such an axis is drawn as a ring."""
     (x0, y0), (x1, y1) = CENTRE, view.place(AXIS_LENGTH * v)
     return math.hypot(x1 - x0, y1 - y0) < END_ON * AXIS_LENGTH
 
 
 def _axis(view: View, v: Array, name: str) -> str:
-    """An arrow, or a ring if the axis points at the reader (dot) or away (cross)."""
+    """Draw an axis: an arrow, or a ring if the axis points at the reader (ring with a dot) or away
+    (ring with a cross)."""
     colour = f"var(--si-{name})"
     if _is_end_on(view, v):
         return _end_on(float(v @ view.towards) > 0.0, colour, name)
@@ -259,7 +262,8 @@ def _end_on(at_reader: bool, colour: str, name: str) -> str:
 
 
 def _turn(view: View, text: str) -> str:
-    """A circular arrow for positive rotation about the axis that points along the view."""
+    """Draw a circular arrow for a positive rotation about the axis that is perpendicular to the
+    picture."""
     axis = int(np.argmax(np.abs(view.towards)))
     to_the_left = float(view.towards[axis]) > 0.0  # as seen from the tip of the axis
     start, stop = (114.0, 336.0) if to_the_left else (336.0, 114.0)
@@ -277,6 +281,6 @@ def _turn(view: View, text: str) -> str:
 
 
 def _on_circle(degrees: float, radius: float | None = None) -> Point:
-    """A point on a circle about the centre; angles are counter-clockwise from the right."""
+    """Return a point on a circle about `CENTRE`. The angle is counter-clockwise from the right."""
     r, angle = TURN_RADIUS if radius is None else radius, math.radians(degrees)
     return CENTRE[0] + r * math.cos(angle), CENTRE[1] - r * math.sin(angle)

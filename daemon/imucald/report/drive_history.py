@@ -1,7 +1,7 @@
 """Data of a replay for its page: samples, corrected frames and snapshots, by time.
 
-Corrected values are decoded from the frames that were sent, so they are what a control unit would
-have received.
+Corrected values are decoded from the frames that were sent. They are therefore the values that a
+control unit would have received.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ CORRECTED = {
     "accel": ("IMUCALD_Acceleration", "AccelX"),
     "gyro": ("IMUCALD_AngularRate", "RateX"),
 }
-"""Message and first of its three signals; all three have the same scale."""
+"""For each sensor: name of the message, and name of the first of its three signals. All three
+signals have the same scale."""
 _TO_SI = {"accel": 1.0, "gyro": np.pi / 180.0}
 WINDOW_TICKS = 5
-"""Forces and the change of speed are compared as means over half a second. In shorter means the
-steps of a speed signal dominate; longer ones lose manoeuvres."""
+"""Length of the mean for comparing forces with the change of speed [ticks]: half a second. Over a
+shorter time, the resolution of the speed signal dominates. Over a longer time, short manoeuvres are
+not visible."""
 HOLE_S = 2.5
-"""Longer gaps are not interpolated: the slowest OBD-II speed comes once a second."""
+"""Longest gap between speed samples that is interpolated [s]. The slowest OBD-II speed has one
+sample per second."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A snapshot of the estimate; t in stream time [s]."""
+    """A snapshot of the estimate. t: stream time [s]."""
 
     t: float
     estimate: MountEstimate
@@ -47,8 +50,8 @@ class Moment:
 class DriveMotion:
     """Means over half a second, in vehicle axes unless stated otherwise; (N,) and (N, 3), SI.
 
-    raw: the accelerometer in its own axes. corrected: as sent; NaN if not available. dvdt, turn:
-    change of speed, and speed times yaw rate; NaN if not known.
+    raw: specific force in sensor axes. corrected: corrected specific force as sent; NaN if not
+    available. dvdt: change of speed; turn: speed times yaw rate; NaN if not known.
     """
 
     t: Array
@@ -61,7 +64,8 @@ class DriveMotion:
 
 @dataclass
 class DriveHistory:
-    """Collects data during a replay (see its methods) and gives it in order afterwards."""
+    """Collects samples, frames and snapshots during a replay, and returns them in order after the
+    replay."""
 
     moments: list[Moment] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
@@ -71,8 +75,8 @@ class DriveHistory:
         self.duration_s = 0.0
         """Stream time of the last configured frame [s]."""
         self.lead = 0.0
-        """Time from the start of the log to the first configured frame [s]; stream time begins at
-        that frame."""
+        """Time from the start of the log to the first configured frame [s]. Stream time begins at
+        this frame."""
         self._parts: dict[str, list[Series]] = {}
         self._rejected: dict[str, list[Array]] = {}
         self._corrected: dict[str, list[Series]] = {}
@@ -81,7 +85,7 @@ class DriveHistory:
     # while the replay runs -------------------------------------------------------------------
 
     def samples(self, part: SegmentSamples) -> None:
-        """Take the samples of a segment, as the engine decoded them."""
+        """Store the decoded samples of a segment."""
         t = part.segment.t
         if part.segment.gap:
             self.gaps.append(float(t[0]))
@@ -93,15 +97,15 @@ class DriveHistory:
         self._clock.append((part.stamps, t))
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Take a snapshot of the estimate."""
+        """Store a snapshot of the estimate."""
         self.moments.append(Moment(snapshot.t, snapshot.estimate))
 
     def begins(self, lead: float) -> None:
-        """Take the time from the start of the log to the first configured frame [s]."""
+        """Store the time from the start of the log to the first configured frame [s]."""
         self.lead = lead
 
     def sink(self, engine: Engine) -> Callable[[FrameColumns], None]:
-        """Return a function that takes the frames sent by the engine."""
+        """Return a function that stores the frames which the engine sends."""
         nothing = np.zeros((0, 3)), np.zeros(0, np.uint8)
         ids = {
             engine.output.corrected_columns(channel, *nothing)[0]: channel
@@ -130,7 +134,7 @@ class DriveHistory:
 
     @property
     def all_samples(self) -> Samples:
-        """All good samples by channel, SI."""
+        """Return all good samples by channel, SI."""
         return {channel: joined(parts) for channel, parts in sorted(self._parts.items())}
 
     @property
@@ -139,7 +143,7 @@ class DriveHistory:
         return {c: np.concatenate(parts) for c, parts in sorted(self._rejected.items())}
 
     def motion(self) -> DriveMotion:
-        """Return forces and the vehicle's motion."""
+        """Return specific forces and the motion of the vehicle."""
         samples = self.all_samples
         n = max(int(self.duration_s * TICK_RATE) + 1, WINDOW_TICKS + 1)
         edges = np.arange(n + 1) / TICK_RATE
@@ -171,12 +175,12 @@ class DriveHistory:
 
 
 def joined(parts: Sequence[Series]) -> Series:
-    """Join pieces of one channel into one series."""
+    """Join the pieces of one channel into one series."""
     return Series(np.concatenate([p.t for p in parts]), np.concatenate([p.values for p in parts]))
 
 
 def _decoded(channel: str, data: NDArray[np.uint8]) -> Array:
-    """Corrected values (N, 3) in SI from payloads (N, 8); NaN if not available."""
+    """Decode corrected values (N, 3) in SI from payloads (N, 8); NaN if not available."""
     raw = np.ascontiguousarray(data[:, :6]).view("<i2").astype(np.float64)
     message, signal = CORRECTED[channel]
     scale = output_database().message(message).signal(signal).scale
@@ -185,7 +189,8 @@ def _decoded(channel: str, data: NDArray[np.uint8]) -> Array:
 
 
 def _tick_means(series: Series, edges: Array) -> Array:
-    """Means of the samples in each tick, (n, width); NaN for a tick without samples."""
+    """Return the means of the samples in each tick, (n, width); NaN for a tick without samples.
+    edges: times of the edges of the ticks [s]."""
     values = series.values if series.values.ndim == 2 else series.values[:, None]
     n = len(edges) - 1
     tick = np.clip((series.t * TICK_RATE).astype(np.int64), 0, n - 1)
@@ -196,7 +201,7 @@ def _tick_means(series: Series, edges: Array) -> Array:
 
 
 def _signed_speed(samples: Samples, edges: Array) -> Array:
-    """Speed at the edges of ticks, negative in reverse; NaN if no sample is near."""
+    """Return the speed at the edges of ticks, negative in reverse; NaN if no sample is near."""
     series = samples.get("speed")
     if series is None and "wheel_speeds" in samples:
         wheels = samples["wheel_speeds"]
@@ -217,7 +222,8 @@ def _signed_speed(samples: Samples, edges: Array) -> Array:
 
 
 def _window(x: Array) -> Array:
-    """Means over `WINDOW_TICKS` ticks; NaN if one of them is NaN."""
+    """Return the moving means of x over `WINDOW_TICKS` ticks; NaN if a tick in the window is
+    NaN."""
     wide = x if x.ndim == 2 else x[:, None]
     pieces = np.lib.stride_tricks.sliding_window_view(wide, WINDOW_TICKS, axis=0)
     means = np.asarray(pieces.mean(axis=-1))

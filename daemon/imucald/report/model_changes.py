@@ -1,4 +1,4 @@
-"""Changes of an extended model: keys with values before and after."""
+"""The changes of an extended model file: keys with the values before and after the extension."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel
 
 SAME = 1e-12
-"""Numbers that differ by less are the same: the difference is a rounding error."""
+"""Numbers that differ by less than this count as equal, because the difference is a rounding
+error."""
 SHOWN_ITEMS = 8
-"""For longer lists (drop-outs) only the length is shown; the full text contains them."""
+"""For a list with more items (drop-outs), only its length is shown. The complete file contains all
+items."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """One key of the model file; values as in JSON."""
+    """One changed key of the model file. Values are JSON values."""
 
     key: str
     before: Any
@@ -25,9 +27,8 @@ class Change:
 
 
 def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
-    """Return every key whose value differs, in the file's order. Lists count as one value.
-
-    The residuals of drives (`leaves`) are not listed: they are no parameters.
+    """Return every key whose value differs, in the order of the file. A list counts as one value.
+    Residuals of drives (`leaves`) are not listed, because they are not parameters.
     """
     old, new = (dict(_flat({**model.dump(), "leaves": {}})) for model in (before, after))
     return [
@@ -38,8 +39,8 @@ def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
 
 
 def shown_changes(diagnosis: Diagnosis) -> list[Change]:
-    """Return the changes without the delays of signals that the drives do not have. If one delay
-    would become negative, the file increases the delays of all signals.
+    """Return the changes, without changed delays of signals that the drives do not contain. Such
+    changes occur because a negative delay is avoided by increasing the delays of all signals.
     """
     present = diagnosis.channels
     return [
@@ -68,7 +69,7 @@ def _flat(data: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def value_text(value: Any) -> str:
-    """Return a value in YAML form: numbers with six digits, long lists by their length."""
+    """Return a value as YAML text: numbers with six digits; for long lists only the length."""
     if value is None:
         return "null"
     if isinstance(value, bool):

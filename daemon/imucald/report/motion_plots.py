@@ -1,4 +1,4 @@
-"""Pictures of the corrected force and the vehicle's motion."""
+"""Pictures that compare the corrected specific force with the motion of the vehicle."""
 
 from __future__ import annotations
 
@@ -16,18 +16,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", "#c0561a"])
-"""Blue for negative, vermilion for positive: distinguishable with any colour blindness."""
+"""Colour map: blue for negative values, vermilion for positive values. The colours are
+distinguishable with any colour blindness."""
 MAP = (4.7, 3.5)
 STRETCH_S = 60.0
 SPEED_BINS, TURN_BINS = 14, 12
 CELL_ROWS = 5
-"""Fewest rows in a cell of a map: two and a half seconds."""
+"""Smallest number of rows in a cell of a map: two and a half seconds."""
 DOTS = 700
-"""Largest number of points in a picture: more would only make the page larger."""
+"""Largest number of points in a picture. More points would make the page larger without a
+benefit."""
 
 
 def stretch_picture(motion: DriveMotion) -> str:
-    """Corrected force compared with raw force and with the vehicle's motion, for one minute."""
+    """Draw corrected force, raw force and the force from the vehicle's motion over time, for one
+    minute."""
     rows = telling_rows(motion)
 
     def draw(figure: Figure) -> None:
@@ -48,7 +51,8 @@ def stretch_picture(motion: DriveMotion) -> str:
 
 
 def telling_rows(motion: DriveMotion) -> slice:
-    """The minute with the most braking, accelerating and turning among those with a correction."""
+    """Return the rows of the minute with the most braking, accelerating and turning. Only minutes
+    with a correction are considered."""
     known = np.isfinite(motion.corrected[:, 0])
     worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, worth + 1e-9, 0.0))])
@@ -58,7 +62,8 @@ def telling_rows(motion: DriveMotion) -> slice:
 
 
 def scatter_picture(motion: DriveMotion, axis: int) -> str:
-    """Corrected and raw force against the force from the motion. axis: 0 forward, 1 left."""
+    """Draw corrected and raw force over the force from the vehicle's motion. axis: 0 forward, 1
+    left."""
     truth, what = ((motion.dvdt, "dv/dt"), (motion.turn, "speed times yaw rate"))[axis]
     known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
     rows = np.flatnonzero(known)[:: max(int(known.sum()) // DOTS, 1)]
@@ -84,8 +89,8 @@ def scatter_picture(motion: DriveMotion, axis: int) -> str:
 
 
 def residual_map(motion: DriveMotion, axis: int) -> str:
-    """Mean of corrected force minus the force from the motion, over speed and lateral
-    acceleration."""
+    """Draw a map of the mean difference between corrected force and force from the motion, over
+    speed and lateral acceleration."""
     truth = (motion.dvdt, motion.turn)[axis]
     left = motion.corrected[:, axis] - truth
     known = np.isfinite(left) & np.isfinite(motion.speed) & np.isfinite(motion.turn)

@@ -1,4 +1,4 @@
-"""Text of numbers for people: significant digits, spread, units."""
+"""Convert numbers to texts for people: significant digits, 95 % interval, units."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ HUMAN_UNITS: Mapping[str, tuple[float, str]] = {
     "1": (100.0, "%"),
     "": (100.0, "%"),
 }
-"""Familiar units for the units of the model file."""
+"""For each unit of the model file: factor and name of a familiar unit."""
 PLAIN_KEYS = ("chassis.steering_ratio",)
-"""Keys of numbers without a unit that are no percentages."""
+"""Keys of numbers without a unit that are not shown in per cent."""
 RATES = ("speed.delay_rate",)
 TIMES = ("mount.shifts.t_s",)
-"""Keys of times within a drive, in seconds; they are no delays."""
+"""Keys of times within a drive [s]. Other times are delays and are shown in milliseconds."""
 LONG_S = 1.0
-"""A longer time is not shown in milliseconds: it belongs to a stuck signal, not to a delay."""
+"""A time that is longer than this is shown in seconds [s]. Such a time belongs to a stuck signal,
+not to a delay."""
 
 
 def number(x: float, digits: int = 3) -> str:
-    """Return a number with `digits` significant digits, without powers of ten if it is short."""
+    """Return a number with `digits` significant digits, without a power of ten if the text is
+    short."""
     if not math.isfinite(x):
         return "-"
     if x == 0.0:
@@ -58,13 +60,15 @@ def with_spread(value: float, std: float) -> str:
 
 
 def _places(half: float) -> int | None:
-    """Number of decimals that show two digits of `half`; None if powers of ten are needed."""
+    """Return the number of decimals that show two digits of `half`; None if a power of ten is
+    needed."""
     size = math.floor(math.log10(half)) if half > 0.0 else -99
     return max(0, 1 - size) if -7 < size < 6 else None
 
 
 def for_people(key: str, p: Estimated) -> tuple[str, str]:
-    """Return the value with its spread, and the file's value, in a familiar unit."""
+    """Return two texts in a familiar unit: the estimated value with its 95 % interval, and the
+    value in the model file."""
     factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
     if key in PLAIN_KEYS:
         factor, unit = 1.0, ""
@@ -77,17 +81,17 @@ def for_people(key: str, p: Estimated) -> tuple[str, str]:
 
 
 def in_file(p: Estimated) -> str:
-    """Return the value with its spread in the model file's own unit."""
+    """Return the estimated value with its 95 % interval, in the unit of the model file."""
     return f"{with_spread(p.value, p.std)} {unit_text(p.unit)}".strip()
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit in printed form: `m/s²` for `m/s^2`, nothing for the plain number."""
+    """Return a unit in printed form, such as `m/s²` for `m/s^2`; "" for a number without a unit."""
     if unit == "1":
         return ""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
 
 
 def typographic(text: str) -> str:
-    """Return a sentence with typographic signs."""
+    """Return a sentence with typographic characters instead of ASCII characters."""
     return text.replace("+-", "±").replace("^2", "²").replace("^3", "³")

@@ -1,4 +1,4 @@
-"""A diagnosis as one self-contained HTML page."""
+"""A diagnosis as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 LIBRARIES = ("jinja2", "matplotlib")
 
 MAX_PICTURED = 14
-"""Largest number of signals with pictures: a page must stay small enough for an e-mail."""
+"""Largest number of signals with pictures. The limit keeps the page small enough for an e-mail."""
 SEPARATORS = (".", "_")
 """Characters after which a long key may be broken."""
 MAX_ROWS = 200
-"""Largest number of rows in any other table or list."""
+"""Largest number of rows in a table or list."""
 
 
 @dataclass(frozen=True)
 class About:
-    """Facts about the origin of the page."""
+    """The data of a page's footer about its origin."""
 
     logs: Sequence[str]
     config: str
     model: str
-    """The tested model: a file's name, or a description of its origin."""
+    """The tested model: name of its file, or a description of its origin."""
     made: str
     """Time and version of the program that made the page."""
 
@@ -85,7 +85,8 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
 
 
 def environment() -> Environment:
-    """Environment with the templates of this package and their filters."""
+    """Return the template environment (Jinja) with the templates of this package and their
+    filters."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - an extra
 
     environment = Environment(
@@ -124,7 +125,7 @@ def _size(x: float) -> float:
 
 
 def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Title, value and meaning of the few numbers that summarise the diagnosis."""
+    """Return title, value and meaning of each number in the summary of the diagnosis."""
     figures = []
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
     if rows and diagnosis.causes and diagnosis.gain.was_fitted:
@@ -143,7 +144,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Rows with the widths of their bars in per cent."""
+    """Return the rows of the table of signals, with the widths of their bars in per cent."""
     rows = []
     for row, s in zip(words.signal_rows(diagnosis), diagnosis.signals.values(), strict=True):
         sizes = {"before": s.rms_before, "after": s.rms_after, "floor": s.noise_floor}
@@ -159,7 +160,9 @@ def _width(share: float) -> str:
 
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Pictures by importance: signals with a cause or left-over structure first, then by size."""
+    """Return the pictures of signals, the most important first: signals with a cause or an
+    unexplained pattern come before other signals. Within both groups, signals are sorted by the
+    ratio of residual to noise."""
     from imucald.report import plots as draw  # noqa: PLC0415 - loads matplotlib
 
     touched = {name for cause in diagnosis.causes for name in cause.signals}
@@ -187,5 +190,5 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 
 def address_of(svg: str) -> str:
-    """A picture as a data URL."""
+    """Return a picture as a data URL."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()

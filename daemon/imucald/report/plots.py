@@ -1,4 +1,5 @@
-"""Pictures of one signal as SVG: residual over time, over its main input, and over frequency."""
+"""Pictures of the residual of one signal as SVG: over time, over its main input, and over
+frequency."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
-"""Vermilion, blue, near black, grey: distinguishable with any colour blindness (Okabe and Ito)."""
+"""Colours: vermilion, blue, nearly black, grey. They are distinguishable with any colour blindness
+(Okabe and Ito)."""
 
 TIME_BINS = 420
 SPECTRUM_BINS = 160
@@ -31,34 +33,37 @@ DRIVER_BINS = 24
 DRIVER_LEAST = 12
 SEGMENT_S = 45.0
 MINUTES_FROM_S = 300.0
-"""Longer axes are in minutes."""
+"""Time axes that are longer than this are in minutes [s]."""
 DECADES = 6
-"""Range of a spectrum that is shown, down from its highest value."""
+"""Number of decades of a spectrum that are shown, from its highest value downwards."""
 FEW_DECADES = 60.0
-"""An axis with a smaller range also has ticks at 2 and 5."""
+"""A logarithmic axis whose ratio of ends is smaller than this also has ticks at 2 and 5."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 EXTREME = 99.7
-"""Percentile of the residual's size that sets the axis; single spikes may lie outside the
-picture."""
+"""This percentile of the residual's size determines the range of the axis. Single spikes may be
+outside the picture."""
 
 
 def time_picture(p: SignalPicture) -> str:
-    """Residual before and after over time: range and mean in short segments."""
+    """Draw the residual before and after the extension over time: range and mean in short
+    segments."""
     return _picture(_draw_time, p, (9.6, 2.5))
 
 
 def segment_picture(p: SignalPicture) -> str:
-    """Measured and predicted signal in the segment with the largest reduction of the residual."""
+    """Draw measured and predicted signal in the segment with the largest reduction of the
+    residual."""
     return _picture(_draw_stretch, p, (9.6, 2.5))
 
 
 def driver_picture(p: SignalPicture) -> str:
-    """Residual over the input with which it correlates most: mean and spread in bins."""
+    """Draw the residual over the input signal with which it correlates most: mean and spread in
+    bins."""
     return _picture(_draw_driver, p, (4.7, 2.9))
 
 
 def spectrum_picture(p: SignalPicture) -> str:
-    """Residual spectrum before and after."""
+    """Draw the spectrum of the residual before and after the extension."""
     return _picture(_draw_spectrum, p, (4.7, 2.9))
 
 
@@ -70,7 +75,7 @@ def _picture(
 
 @dataclass(frozen=True)
 class _Curve:
-    """One model's prediction and its line style."""
+    """The prediction of one model, and its line style."""
 
     name: str
     predicted: Array
@@ -82,7 +87,8 @@ class _Curve:
 
 
 def _curves(p: SignalPicture) -> list[_Curve]:
-    """Curves before and after; only one if the model was not extended."""
+    """Return the curves before and after the extension; only one curve if the model was not
+    extended."""
     before = _Curve("before", p.predicted_before, p.spectrum_before, BEFORE, "s", (0, (5, 2)), 0.28)
     after = _Curve("after", p.predicted_after, p.spectrum_after, AFTER, "o", "solid", 0.4)
     if not is_extended(p):
@@ -159,7 +165,7 @@ def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
 
 
 def _time_axis(axes: Axes, t: Array) -> float:
-    """Label the time axis; return the factor from seconds to its unit."""
+    """Label the time axis. Return the factor that converts seconds to the unit of the axis."""
     known = t[np.isfinite(t)]
     long = len(known) > 0 and float(np.ptp(known)) > MINUTES_FROM_S
     axes.set_xlabel("time [min]" if long else "time [s]")
@@ -175,8 +181,8 @@ def _limit(axes: Axes, residuals: list[Array]) -> None:
 
 
 def _trim_depth(axes: Axes) -> None:
-    """Show a fixed number of decades from the top; beyond the sensor's band there is nothing to
-    see."""
+    """Limit the axis of a spectrum to `DECADES` below the highest value. Smaller values, at
+    frequencies above the sensor's bandwidth, contain no information."""
     low, high = axes.get_ylim()
     tops = [np.max(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]  # type: ignore[arg-type]
     if tops:
@@ -185,8 +191,8 @@ def _trim_depth(axes: Axes) -> None:
 
 
 def _power_text(x: float, _: object) -> str:
-    """`0.02`, `10`, or a power of ten with superscript digits, because formula text is not used
-    here."""
+    """Return a number as text: `0.02`, `10`, or a power of ten with superscript digits (without
+    matplotlib's formula text)."""
     if x <= 0.0:
         return ""
     power = math.floor(math.log10(x) + 1e-9)
@@ -197,7 +203,7 @@ def _power_text(x: float, _: object) -> str:
 
 
 def _clock_text(seconds: float, _: object) -> str:
-    """Time such as `23:06`, with tenths of a second if the segment is short."""
+    """Return a time as text, such as `23:06`, with tenths of a second if the segment is short."""
     sign, seconds = ("-" if seconds < 0 else ""), abs(round(seconds, 1))
     minutes, rest = divmod(seconds, 60.0)
     return (
@@ -208,7 +214,7 @@ def _clock_text(seconds: float, _: object) -> str:
 
 
 def _legend(axes: Axes) -> None:
-    """Put the legend above the axes, in one row; a single curve without a name has none."""
+    """Draw the legend above the axes, in one row. A single curve without a name gets no legend."""
     lines, _ = axes.get_legend_handles_labels()
     if lines:
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines),

@@ -1,6 +1,7 @@
-"""Show values of pictures under the mouse by SVG titles, which browsers show without a script.
+"""Add SVG titles to pictures, so that browsers show values at the mouse pointer without a script.
 
-A curve shows its point, a map its cell, and dots show their number and range in a strip.
+For a curve, the title shows the values of its point; for a map, the value of the cell; for dots,
+their number and range in a vertical strip.
 """
 
 from __future__ import annotations
@@ -27,16 +28,17 @@ if TYPE_CHECKING:
 
 POINTS_PER_INCH = 72.0
 FIELD_PT = 7.0
-"""Width of a field with one title: about the accuracy of pointing by hand."""
+"""Width of an invisible field with one title [pt]: about the accuracy of pointing by hand."""
 LABEL = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", re.S)
 CLOCK = "min:s"
-"""Unit of an axis whose values are written by its own formatter."""
+"""Unit in the label of a time axis whose tick texts are minutes and seconds."""
 
 
 def pointed_values(figure: Figure) -> str:
     """Return SVG groups of invisible fields, each with a title, over the parts of a drawn figure.
 
-    A field over curves or dots covers the height of its axes; units are those of the drawing.
+    A field over curves or dots covers the whole height of its axes. Units are the units of the
+    axes.
     """
     return "".join(_curves(axes) + _dots(axes) + _maps(axes) for axes in figure.axes)
 
@@ -64,7 +66,8 @@ def _curves(axes: Axes) -> str:
 
 
 def _dots(axes: Axes) -> str:
-    """Fields over strips of dots without a line; single dots are too many and too small."""
+    """Return fields over vertical strips of dots. There are too many single dots, and they are too
+    small for fields of their own."""
     lone = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() == "None"]
     clouds = list(filter(_label, lone))  # dots of error bars have no label
     (left, bottom), (right, top) = _place(axes, axes.transAxes.transform([(0, 0), (1, 1)]))
@@ -91,7 +94,8 @@ def _dots(axes: Axes) -> str:
 
 
 def _maps(axes: Axes) -> str:
-    """Fields over the cells of a map with a value; the map's label has its name and unit."""
+    """Return fields over the cells of a map that have a value. The label of the map contains its
+    name and unit."""
     fields = []
     meshes = (c for c in axes.collections if isinstance(c, QuadMesh))
     for mesh in filter(_label, meshes):  # the colour scale next to a map has no label
@@ -130,27 +134,27 @@ def _between(axis: Axis, low: float, high: float) -> str:
 
 
 def _label(drawn: Artist) -> str:
-    """The label for a legend; "" if there is none."""
+    """Return the legend label of a drawn object; "" if it has none."""
     label = str(drawn.get_label())
     return "" if label.startswith("_") else label
 
 
 def _points(curve: Line2D) -> Array:
-    """Points of a curve in the units of its axes; (N, 2)."""
+    """Return the points of a curve in the units of its axes, (N, 2)."""
     return np.column_stack([
         np.asarray(curve.get_xdata(), float), np.asarray(curve.get_ydata(), float)
     ])  # fmt: skip
 
 
 def _place(axes: Axes, display: Array) -> Array:
-    """Positions in the SVG [pt], y downward; (N, 2)."""
+    """Convert display coordinates (N, 2) to positions in the SVG [pt], y downwards."""
     figure, width, height = _sheet(axes)
     share = figure.transFigure.inverted().transform(display)
     return np.column_stack([width * share[:, 0], height * (1.0 - share[:, 1])])
 
 
 def _display(axes: Axes, place: Array) -> Array:
-    """Inverse of `_place`: display coordinates; (N, 2)."""
+    """Convert positions in the SVG (N, 2) [pt] to display coordinates: the inverse of `_place`."""
     figure, width, height = _sheet(axes)
     share = np.column_stack([place[:, 0] / width, 1.0 - place[:, 1] / height])
     display: Array = figure.transFigure.transform(share)
@@ -158,7 +162,7 @@ def _display(axes: Axes, place: Array) -> Array:
 
 
 def _sheet(axes: Axes) -> tuple[Figure, float, float]:
-    """The figure of drawn axes, its width and height [pt]."""
+    """Return the figure of drawn axes, and its width and height [pt]."""
     figure = axes.get_figure(root=True)
     assert figure is not None  # axes that were drawn belong to a figure
     width, height = POINTS_PER_INCH * figure.get_size_inches()
@@ -166,7 +170,7 @@ def _sheet(axes: Axes) -> tuple[Figure, float, float]:
 
 
 def _seen(axes: Axes, curve: Line2D, left: float, right: float) -> tuple[Array, Array]:
-    """Horizontal positions [pt] and values of a curve's visible points."""
+    """Return the horizontal positions [pt] and the values of the visible points of a curve."""
     points = _points(curve)
     points = points[np.isfinite(points).all(axis=1)]
     x = _place(axes, axes.transData.transform(points))[:, 0] if len(points) else np.zeros(0)
@@ -189,7 +193,8 @@ def _title(axes: Axes, at: float, curves: list[Line2D], seen: list[tuple[Array, 
 
 
 def _where(axes: Axes, x: float) -> str:
-    """Text of the horizontal position; if axes share it, the lowest one has the label."""
+    """Return a text with the horizontal position x. If several axes share the horizontal axis, its
+    label is taken from the lowest axes."""
     together = axes.get_shared_x_axes().get_siblings(axes)
     axis = next((a.xaxis for a in together if a.get_xlabel()), axes.xaxis)
     name, unit = _named(axis)
@@ -199,7 +204,7 @@ def _where(axes: Axes, x: float) -> str:
 
 
 def _named(axis: Axis) -> tuple[str, str]:
-    """Name and unit of an axis, from its label `name [unit]`."""
+    """Return name and unit of an axis, from its label `name [unit]`."""
     return _parts(axis.get_label_text())
 
 

@@ -1,4 +1,4 @@
-"""A replayed drive as one self-contained HTML page."""
+"""A replayed drive as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from imucald.runtime.drive_events import (
 
 SHOWN_PROBLEMS = 20
 SNAPSHOT_S = 1.0
-"""The history has one moment per second."""
+"""Period of snapshots in the history [s]."""
 
 
 def replay_page(
@@ -110,15 +110,15 @@ def replay_page(
 
 
 def drive_events(history: DriveHistory, result: Mapping[str, Any]) -> list[Event]:
-    """Events of the drive, by time."""
+    """Return the events of the drive, sorted by time."""
     states = ((m.t, m.estimate.state.name.lower(), m.estimate.waiting_for) for m in history.moments)
     changes = [_at_its_time(event, history, result) for event in state_changes(states)]
     return in_order([*changes, *reported_events(result, history.gaps)])
 
 
 def _at_its_time(event: Event, history: DriveHistory, result: Mapping[str, Any]) -> Event:
-    """An event with the exact time of the first *usable* or *fine*; the history has it only to the
-    second."""
+    """Return the event with its exact time if it is the first *usable* or *fine*. The history
+    contains this time only in whole seconds."""
     first = result.get(f"first_{event.text.partition(':')[0]}_s")
     came = None if first is None else first - history.lead
     if came is None or not event.t - SNAPSHOT_S <= came <= event.t:
@@ -137,7 +137,8 @@ def _headline(result: Mapping[str, Any], lead: float) -> str:
 
 
 def _rotation(estimate: MountEstimate | None) -> Any:
-    """The mount, or None if its heading is unknown: a drawing must not show an unknown heading."""
+    """Return the rotation of the mount. None if yaw is unknown, because a drawing must not show an
+    unknown angle."""
     if estimate is None or estimate.std is None:
         return None
     known = half_width(estimate.std[2] * DEG_PER_RAD) is not None
@@ -145,7 +146,8 @@ def _rotation(estimate: MountEstimate | None) -> Any:
 
 
 def _axis_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Each axis with the possible remaining rotation about it (±), and its limits."""
+    """Return a row for each axis: the remaining uncertainty of the rotation about the axis (±), and
+    its limits for the states."""
     rows: list[tuple[str, ...]] = []
     for axis, turn in zip("xyz", VEHICLE_AXES, strict=True):
         targets = mount.get("target_std_deg")
@@ -163,7 +165,8 @@ def _quaternion(mount: Mapping[str, Any]) -> str:
 
 
 def _fits(motion: DriveMotion) -> list[dict[str, str]]:
-    """Agreement of raw and corrected forces with the motion: slope, and rms of the difference."""
+    """Return rows about the agreement of raw and corrected forces with the vehicle's motion: slope,
+    and rms of the difference."""
     found = []
     for axis, (way, what, truth) in enumerate(
         (("forward", "dv/dt", motion.dvdt), ("left", "speed times yaw rate", motion.turn))
@@ -186,7 +189,8 @@ def _number(x: float) -> str:
 
 
 def _sources(details: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """Each source of evidence with its own 95 % interval and its share in each angle."""
+    """Return for each source of evidence its share in each angle and the 95 % interval that it
+    alone would give."""
     shares = details.get("evidence_share") or {}
     rows = []
     for name, std in (details.get("evidence_std_deg") or {}).items():

@@ -1,4 +1,4 @@
-"""Pictures of one replayed drive as SVG that follows the page's light or dark colours."""
+"""Pictures of one replayed drive as SVG. Their colours follow the page's light or dark mode."""
 
 from __future__ import annotations
 
@@ -44,21 +44,22 @@ WIDE = (9.6, 5.2)
 TIME_BINS = 240
 LARGEST_DEG = 30.0
 LABEL_SHARE = 0.02
-"""Numbers closer together than this share of the picture's width would overlap."""
+"""Event numbers in a picture would overlap if their distance were less than this share of the
+picture's width."""
 MAX_MARKS = 12
 """Largest number of numbered events in a picture."""
 
 
 @dataclass(frozen=True)
 class Numbered:
-    """An event with its number in pictures and table."""
+    """An event, and its number in the pictures and in the table."""
 
     number: int
     event: Event
 
 
 def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
-    """Roll, pitch and yaw of the mount over time, with their 95 % intervals."""
+    """Draw roll, pitch and yaw of the mount over time, with their 95 % intervals."""
     known = [m for m in history.moments if m.estimate.R_vehicle_from_sensor is not None]
 
     def draw(figure: Figure) -> None:
@@ -87,7 +88,8 @@ def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) 
 
 
 def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, str]]:
-    """Positions and texts of the events' numbers; close events share one text, such as "4-6"."""
+    """Return positions and texts of the numbers of events. Events that are close together share one
+    text, such as "4-6"."""
     found: list[list[Numbered]] = []
     for mark in events:
         if found and mark.event.t - found[-1][0].event.t < LABEL_SHARE * duration:
@@ -101,7 +103,7 @@ def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, st
 
 
 def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
-    """States with their start and end [s]."""
+    """Return the successive states with their start and end [s]."""
     found: list[tuple[MountState, float, float]] = []
     before = 0.0
     for moment in history.moments:
@@ -137,7 +139,7 @@ def _draw_angle(
 
 
 def _angle(moment: Moment, angle: int) -> tuple[float, float]:
-    """An angle of the mount, and the half width of its 95 % interval [deg]."""
+    """Return an angle of the mount, and the half width of its 95 % interval [deg]."""
     angles, std = moment.estimate.angles, moment.estimate.angle_std
     if angles is None or std is None:
         return np.nan, np.inf
@@ -145,8 +147,8 @@ def _angle(moment: Moment, angle: int) -> tuple[float, float]:
 
 
 def _size(off: Array, half: Array) -> float:
-    """Half of the height of a picture [deg]: the last three quarters of the drive fit, the first
-    quarter may be cut."""
+    """Return half of the height of a picture of angles [deg]. The angles of the last three quarters
+    of the drive are completely visible; those of the first quarter may be outside the picture."""
     late = slice(len(off) // 4, None)
     edge = np.abs(off[late]) + half[late]
     if not np.isfinite(edge).any():
@@ -155,7 +157,7 @@ def _size(off: Array, half: Array) -> float:
 
 
 def arrivals_picture(history: DriveHistory) -> str:
-    """Rate of each signal over time, with gaps and rejections."""
+    """Draw the sample rate of each signal over time, with gaps and rejections."""
     samples, rejected = history.all_samples, history.rejected
     channels = sorted(set(samples) | set(rejected))
     duration = max(history.duration_s, 1.0)
@@ -186,7 +188,8 @@ def arrivals_picture(history: DriveHistory) -> str:
 
 
 def evidence_picture(history: DriveHistory, angle: str) -> str | None:
-    """Shares of the kinds of evidence in an angle, over time; None if none are reported."""
+    """Draw the shares of the kinds of evidence in an angle over time. Return None if no shares are
+    reported."""
     rows = []
     for moment in history.moments:
         shares = moment.estimate.details.get("evidence_share")
@@ -214,7 +217,8 @@ def evidence_picture(history: DriveHistory, angle: str) -> str | None:
 
 
 def grouped(shares: Mapping[str, float]) -> dict[str, float]:
-    """Shares by kind of evidence, which is the last part of a source's name."""
+    """Return the sums of shares by kind of evidence. The kind is the last part of the name of a
+    source."""
     found: dict[str, float] = {}
     for source, share in shares.items():
         kind = EVIDENCE_KINDS.get(source.rpartition("_")[2], source)

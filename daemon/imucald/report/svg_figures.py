@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from imucald.report.pointed_values import pointed_values
 
 LAYOUT_FONT = "DejaVu Sans"
-"""This font comes with matplotlib, so the layout of pictures is the same everywhere. DejaVu Sans is
-a wide font."""
+"""Font for the layout of pictures. The font is part of matplotlib, so the layout is the same on
+every machine. It is a wide font, so texts in other fonts fit too."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
 METADATA = ("Date", "Creator", "Format", "Type")
 PATH = re.compile(r'( d=")([^"]*)"')
@@ -28,7 +28,7 @@ SOME_ID = re.compile(r' id="([^"]*)"')
 BETWEEN_TAGS = re.compile(r"\n\s*<")
 MARKERS = re.compile(r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}')
 LONG_LINE = 40
-"""A path with at least this many commands is a curve of data, not a marker or letter."""
+"""A path with at least this number of commands is a curve of data, not a marker or letter."""
 
 STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # names come from databases: a dollar sign is no formula
@@ -59,8 +59,8 @@ def drawn(
     size: tuple[float, float],
     style: Mapping[str, Any] | None = None,
 ) -> str:
-    """Draw on a figure of the given size [in] and return it as SVG text. draw: draws on the
-    figure."""
+    """Draw a figure of the given size [in], and return it as SVG text. draw: function that draws on
+    the figure."""
     with mpl.rc_context(STYLE | dict(style or {})), warnings.catch_warnings():
         # The layout font lacks letters of other scripts; the reader's font has them.
         warnings.filterwarnings("ignore", message="Glyph .* missing")
@@ -74,9 +74,8 @@ def drawn(
 
 
 def _shortened(svg: str) -> str:
-    """Remove parts that a browser does not need: the same picture has a third of the size.
-
-    Text uses the reader's fonts.
+    """Remove parts that a browser does not need. The size is reduced to a third. Texts then use the
+    fonts of the reader's browser.
     """
     svg = svg[svg.index("<svg") :].replace(f"'{LAYOUT_FONT}'", READERS_FONTS)
     svg = PATH.sub(lambda m: f'{m[1]}{short_path(m[2])}"', svg)
@@ -89,12 +88,12 @@ def _shortened(svg: str) -> str:
 
 
 def without_name_space(svg: str) -> str:
-    """SVG text for use within HTML, which needs no name space."""
+    """Return the SVG text without its name space, for use within HTML."""
     return NAME_SPACE.sub("", svg)
 
 
 def short_path(path: str) -> str:
-    """Shorten matplotlib's path data, which has one command per line.
+    """Shorten the path data of matplotlib (one command per line).
 
     Curves of data are rounded to tenths of a point (a seventh of a pixel on a wide page), and
     repeated points are removed. Markers and letters are small, so they are rounded to hundredths.
@@ -115,6 +114,6 @@ def short_path(path: str) -> str:
 
 
 def _number(text: str, digits: int) -> str:
-    """A number with at most `digits` decimals."""
+    """Return a number as text with at most `digits` decimals."""
     short = f"{float(text):.{digits}f}".rstrip("0").rstrip(".")
     return "0" if short in {"-0", ""} else short

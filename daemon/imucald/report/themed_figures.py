@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
 STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
-"""Placeholders for the page's colours while a figure is drawn; see `themed`."""
+"""Placeholder colours that are used while a figure is drawn. `themed` replaces them by the page's
+colours."""
 THEME: Mapping[str, str] = {
     INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
     TRUTH: "--truth", BAD: "--bad",
@@ -29,7 +30,7 @@ STYLE: dict[Any, Any] = {
     "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
 }  # fmt: skip
 NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
-"""Steps of a time axis [s]."""
+"""Possible distances between the ticks of a time axis [s]."""
 TICKS = 9
 
 
@@ -43,12 +44,12 @@ def time_axis(axes: Axes, duration: float) -> None:
 
 
 def clock_text(seconds: float, _: object) -> str:
-    """Time such as `4:02`, as a matplotlib formatter."""
+    """Return a time as text, such as `4:02`. The function is a matplotlib formatter."""
     return clock(seconds)
 
 
 def legend(axes: Axes) -> None:
-    """Put the names above the axes, in rows."""
+    """Draw the legend above the axes, in rows."""
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
                 handlelength=1.8, columnspacing=1.2)  # fmt: skip
 

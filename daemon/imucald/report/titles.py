@@ -26,7 +26,8 @@ CAUSES: Mapping[str, str] = {
     "dropouts": "drop-outs",
     "duplicated_frames": "doubled frames",
 }
-"""Titles that differ from the name with blanks; a new cause needs no entry."""
+"""Titles of causes that differ from the name of the cause with blanks instead of underscores. A new
+cause needs no entry."""
 
 PARTS: Mapping[str, str] = {row.channel: row.title for row in samples.QUANTITIES.values()}
 SIGNALS: Mapping[str, str] = {**PARTS, samples.SPEED.channel: "speed against the wheels"}

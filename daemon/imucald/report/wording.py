@@ -1,4 +1,4 @@
-"""Texts of a diagnosis, for terminal and page."""
+"""Texts about a diagnosis, for the terminal and the HTML page."""
 
 from __future__ import annotations
 
@@ -26,42 +26,42 @@ from imucald.report.numbers import for_people, in_file, number, typographic, uni
 from imucald.report.titles import cause_title, key_title, signal_title
 
 AS_WELL = " does as well on data that no fit saw"
-"""End of the diagnosis' sentence about rivals."""
+"""End of the sentence in a diagnosis about other causes that fit as well."""
 MANY = 4
-"""A sentence shows at most this many names, the first ones."""
+"""Largest number of names in a sentence. Of a longer list, the first names are shown."""
 
 
 class ParameterRow(NamedTuple):
-    """A number of a cause in readable form."""
+    """A parameter of a cause as texts."""
 
     title: str
     value: str
     stated: str
     key: str
-    """Key of the model file; empty: it has no place there."""
+    """Key of the model file; empty if the model file has no such key."""
     in_file: str
 
 
 class CandidateRow(NamedTuple):
-    """A cause that was not named, in readable form."""
+    """A cause that was tested but not named in the diagnosis, as texts."""
 
     title: str
     outcome: str
     value: str
     shows: str
-    """Size from which the drives would have shown it."""
+    """Smallest size at which these drives would have shown the cause."""
 
 
 @dataclass(frozen=True)
 class Words:
-    """Texts of the verdict."""
+    """The texts of the verdict."""
 
     headline: str
     explanation: str
 
 
 class Card(NamedTuple):
-    """A cause in readable form."""
+    """A cause that was found, as texts."""
 
     name: str
     title: str
@@ -74,7 +74,7 @@ class Card(NamedTuple):
 
 
 class SignalRow(NamedTuple):
-    """The residual of a signal in readable form."""
+    """The residual of a signal, as texts."""
 
     name: str
     verdict: str
@@ -95,7 +95,8 @@ def in_series(names: Sequence[str], last: str = "and") -> str:
 
 
 def few_of(names: Sequence[str], last: str) -> str:
-    """As `in_series`; a long list shows the first three names and the number of the others."""
+    """Join names like `in_series`. For a long list, the result contains the first three names and
+    the number of the others."""
     if len(names) <= MANY:
         return in_series(names, last)
     shown = MANY - 1
@@ -103,12 +104,14 @@ def few_of(names: Sequence[str], last: str) -> str:
 
 
 def ways_apart(group: Sequence[str]) -> list[str]:
-    """Manoeuvres that would separate causes that these drives cannot separate."""
+    """Return the manoeuvres with which the causes of a group could be distinguished. These drives
+    cannot distinguish the causes."""
     return list(dict.fromkeys(BY_NAME[name].separate for name in group if name in BY_NAME))
 
 
 def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
-    """Arguments against a cause, with the readable titles of rivals."""
+    """Return the arguments against a cause. They contain the titles of other causes that fit as
+    well."""
     texts = [_with_rivals(typographic(text)) for text in cause.against]
     if not any(text.endswith(AS_WELL) for text in cause.against):
         groups = [g for g in diagnosis.look_alikes if cause.name in g]
@@ -119,7 +122,7 @@ def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
 
 
 class Suspect(NamedTuple):
-    """A cause that fits as well as a found one, but is not in the extended file."""
+    """A cause that fits as well as a found cause, but is not in the extended model file."""
 
     name: str
     title: str
@@ -127,15 +130,16 @@ class Suspect(NamedTuple):
 
 
 def other_suspects(diagnosis: Diagnosis) -> list[Suspect]:
-    """Causes of the look-alikes that were not named themselves."""
+    """Return the causes that cannot be distinguished from a found cause and were not found
+    themselves."""
     named = {cause.name for cause in (*diagnosis.causes, *diagnosis.likely)}
     names = dict.fromkeys(n for group in diagnosis.look_alikes for n in group if n not in named)
     return [Suspect(n, cause_title(n), BY_NAME[n].sentence) for n in names if n in BY_NAME]
 
 
 def for_prediction_only(diagnosis: Diagnosis) -> str:
-    """Reason why an extended file that predicts well may contain the wrong cause; empty if it is
-    certain."""
+    """Return the reason why the extended model file may contain a wrong cause although its
+    predictions are good; empty if all causes are certain."""
     sets = diagnosis.look_alikes
     if not sets:
         return ""
@@ -152,14 +156,15 @@ def _with_rivals(text: str) -> str:
 
 
 def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
-    """One word: certain, likely, or ambiguous if other causes fit as well."""
+    """Return the certainty of a cause in one word: certain, likely, or ambiguous (other causes fit
+    as well)."""
     is_confused = any(cause.name in group for group in diagnosis.look_alikes)
     return "ambiguous" if is_confused and cause.certainty == "certain" else cause.certainty
 
 
 def look_alike_groups(diagnosis: Diagnosis) -> dict[tuple[str, ...], tuple[str, ...]]:
-    """The causes that these drives cannot distinguish: a mapping from titles, each once, to
-    names."""
+    """Return the groups of causes that these drives cannot distinguish: a mapping from the titles
+    of each group (each title once) to the names."""
     return {tuple(cause_title(n) for n in names): names for names in diagnosis.look_alikes}
 
 
@@ -214,7 +219,7 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
 
 
 def _advice(diagnosis: Diagnosis) -> str:
-    """A sentence on whether the extended file is worth using."""
+    """Return a sentence that states whether the user should use the extended model file."""
     if not diagnosis.causes:
         return ""
     if diagnosis.recommended and not diagnosis.gain.was_fitted:
@@ -240,7 +245,7 @@ def _advice(diagnosis: Diagnosis) -> str:
 
 
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
-    """The same in short form: the advice and its basis."""
+    """Return the advice about the extended model file in short form: the advice, and its reason."""
     if not model_changes(diagnosis.model_before, diagnosis.model_after):
         return "unchanged", "the model file has no key for what was found"
     if not diagnosis.recommended:
@@ -266,7 +271,7 @@ def _incomplete(diagnosis: Diagnosis) -> str:
 
 
 def _where(diagnosis: Diagnosis) -> str:
-    """The signals with left-over structure, in words."""
+    """Return a text with the signals whose residuals have an unexplained pattern."""
     return in_series(list(dict.fromkeys(signal_title(s.signal) for s in diagnosis.structure)))
 
 
@@ -285,8 +290,8 @@ def evidence(cause: FoundCause) -> str:
 
 
 def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
-    """Rows for a cause's numbers: first by the file's keys along the sensor's axes, then along the
-    vehicle's axes."""
+    """Return the rows for the parameters of a cause: first the parameters along the sensor's axes
+    (with the keys of the model file), then along the vehicle's axes."""
     rows = []
     for key, p in (*cause.in_file.items(), *cause.along_vehicle.items()):
         shown, stated = for_people(key, p)
@@ -296,7 +301,7 @@ def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
 
 
 def card(cause: FoundCause, diagnosis: Diagnosis) -> Card:
-    """A cause as terminal and page show it."""
+    """Return the texts about a cause for terminal and page."""
     signals = [signal_title(name) for name in cause.signals]
     return Card(
         cause.name, cause_title(cause.name), how_sure(cause, diagnosis), typographic(cause.text),
@@ -305,7 +310,7 @@ def card(cause: FoundCause, diagnosis: Diagnosis) -> Card:
 
 
 def signal_rows(diagnosis: Diagnosis) -> list[SignalRow]:
-    """The residuals of all signals as terminal and page show them."""
+    """Return the texts about the residuals of all signals for terminal and page."""
     return [
         SignalRow(
             signal_title(name), s.verdict, number(s.rms_before), number(s.rms_after), less(s),
@@ -317,8 +322,8 @@ def signal_rows(diagnosis: Diagnosis) -> list[SignalRow]:
 
 
 def not_named(diagnosis: Diagnosis) -> list[CandidateRow]:
-    """Causes that were not named, those with the largest gain first, with the size from which these
-    drives would have shown each."""
+    """Return the causes that were not named, sorted by their gain (largest first). Each has the
+    smallest size at which these drives would have shown the cause."""
     ordered = sorted(
         diagnosis.candidates, key=lambda c: -c.nats if math.isfinite(c.nats) else math.inf
     )
@@ -326,7 +331,8 @@ def not_named(diagnosis: Diagnosis) -> list[CandidateRow]:
 
 
 def _sizes(c: Candidate) -> tuple[str, str]:
-    """Departure of a cause's parameter, and the size from which it shows."""
+    """Return the estimated change of a cause's parameter, and the smallest size at which it would
+    be visible."""
     if not math.isfinite(c.shows_from):
         return typographic(c.text), ""
     off = Estimated(c.off, c.std, c.unit, c.shows_from)
@@ -362,8 +368,8 @@ def _counted(n: int) -> str:
 
 
 def structure_text(structure: Structure) -> str:
-    """Text of left-over structure, with the readable title of the parameter. If the parameter is
-    not one of the signal's sensor, the text says so."""
+    """Return a text about an unexplained pattern, with the title of the parameter. If the parameter
+    does not belong to the sensor of the signal, the text states this."""
     key, text = structure.parameter, structure.text
     if not key:
         return typographic(text)

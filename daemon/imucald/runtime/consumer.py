@@ -1,14 +1,13 @@
-"""Consumers: calculations that run along with the mount calibration on the same samples.
+"""Consumers: calculations that use the same samples as the mount calibration and run in parallel
+with it.
 
-A consumer takes samples one by one, in the same order live and in replay, and returns frames at the
-ends of ticks. The engine knows consumers only by this protocol; `consumers` has the existing ones.
+A consumer receives samples one by one, in the same order live and in replay. It returns frames at
+the ends of ticks. The engine knows only the protocol `Consumer`; the module `consumers` contains
+the existing consumers. `ConsumerGroup` contains the consumers of one engine.
 
-`ConsumerGroup` holds the consumers of one engine, which are fed sample by sample, live and in
-replay.
-
-Consumers run along with the calibration and must not stop it. If numbers from the bus make a
-calculation fail, the failure is counted and that consumer restarts. It sends *not available* until
-it has a result again. Any other exception is a mistake of the program and is not caught.
+A consumer must not stop the calibration. If numbers from the bus cause an error in a calculation,
+the error is counted and this consumer restarts. The consumer sends *not available* until it has a
+result again. Any other exception is an error in the program and is not caught.
 """
 
 from __future__ import annotations
@@ -30,78 +29,79 @@ from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Snapshot, TickCorrections
 
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
-"""Order in which samples of one frame are passed on."""
+"""Order of channels in which the samples of one frame are passed to consumers."""
 INERTIAL = frozenset(("accel", "gyro"))
-"""Channels whose samples a consumer integrates, so that each result depends on all earlier
+"""Channels whose samples a consumer integrates. Each result therefore depends on all earlier
 samples.
 """
 _RANK = {channel: rank for rank, channel in enumerate(ORDER)}
 
 
 class Consumer(Protocol):
-    """Takes samples, returns frames. Pure: no I/O, no clock."""
+    """Interface of a calculation that receives samples and returns frames. It has no I/O and reads
+    no clock."""
 
     name: str
-    """Key of its result."""
+    """Name of the consumer, and key of its result."""
 
     @property
     def channels(self) -> frozenset[str]:
-        """Channels that it needs (see `samples`)."""
+        """Channels that the consumer needs (see `core.samples`)."""
         ...
 
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
-        """Take a sample at stream time t [s], as the sensor gave it, and the correction in
-        force.
+        """Process a sample at stream time t [s]. values: uncorrected. correction: the present
+        correction.
         """
         ...
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Take a snapshot of the mount.
-
-        The call comes before the tick at whose end the snapshot was taken.
+        """Process a new mount estimate. The call comes before the call of `tick` for the tick at
+        whose end the estimate was computed.
         """
         ...
 
     def tick(self, k: int) -> list[OutFrame]:
-        """Note that tick k has ended; return the frames that are due."""
+        """Process the end of tick k. Return the frames that are due."""
         ...
 
     def gap(self) -> None:
-        """Note a jump of time: no value from before may be differenced with a later one."""
+        """Process a jump of time: values from before the jump must not be compared with later
+        values."""
         ...
 
     def begin_anew(self) -> None:
-        """Forget all results from samples, because a calculation failed; nothing is available
-        then.
-        """
+        """Forget all results, because a calculation failed. No result is available afterwards."""
         ...
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
-        """Key and content of the result."""
+        """Return key and content of the result."""
         ...
 
 
 @runtime_checkable
 class ChecksSensors(Protocol):
-    """A consumer with a sensor check that can be repeated and kept."""
+    """A consumer with a sensor check that can be repeated and saved."""
 
     @property
     def checked(self) -> bool:
-        """True if the check has been made, or is known from an earlier drive."""
+        """True if the check has been completed, in this drive or in an earlier drive."""
         ...
 
     def check_sensors(self) -> None:
-        """Repeat the check at the next rest that is long enough."""
+        """Repeat the check at the next standstill that is long enough."""
         ...
 
     def saved_check(self) -> Mapping[str, Any] | None:
-        """Return the result of the check for the saved state: sensor axes, SI; None before it."""
+        """Return the result of the check for the saved state (sensor axes, SI); None before the
+        check."""
         ...
 
     def restore_check(self, saved: object) -> None:
-        """Take a saved check if it is plausible; it is used once there is a mount."""
+        """Use the saved result of a check if it is plausible. The result is applied as soon as a
+        mount is known."""
         ...
 
 
@@ -133,13 +133,14 @@ def events_of(
 
 
 FAILURES = (ImucaldError, ArithmeticError, ValueError)
-"""Exceptions that numbers can cause in a calculation: refused, divided by zero, too large, outside
-a domain (numpy's singular matrix is a ValueError).
+"""Exceptions that numbers from the bus can cause in a calculation: refused value, division by zero,
+overflow, value outside a domain (numpy's singular matrix is a ValueError).
 """
 
 
 class ConsumerGroup:
-    """Passes samples, snapshots and ends of ticks to each consumer; false without any."""
+    """Passes samples, mount estimates and ends of ticks to each consumer. A group without consumers
+    is false."""
 
     def __init__(self, consumers: Sequence[Consumer]) -> None:
         self.all = tuple(consumers)
@@ -159,7 +160,8 @@ class ConsumerGroup:
         correction: Correction | None,
         unfit: Collection[str],
     ) -> None:
-        """Pass on the samples of one frame at stream time t [s]. unfit: see `_hand_on`."""
+        """Pass the samples of one frame at stream time t [s] to the consumers. unfit: see
+        `_hand_on`."""
         for channel, values in in_order(samples):
             for consumer in self.all:
                 self._hand_on(consumer, t, channel, values, correction, unfit)
@@ -175,9 +177,9 @@ class ConsumerGroup:
     ) -> None:
         """Pass a sample to a consumer that wants it.
 
-        unfit: channels of sensors that are faulty now. Samples of a faulty sensor are not passed
-        on. If the consumer integrates that sensor's samples, it begins again when the sensor has no
-        fault any more. Until then it has no result.
+        unfit: channels of sensors that are faulty now. Samples of a faulty sensor are not passed to
+        the consumer. If the consumer integrates the samples of this sensor, the consumer restarts
+        when the fault ends. Until then it has no result.
         """
         if channel not in consumer.channels:
             return
@@ -216,7 +218,7 @@ class ConsumerGroup:
     def end_ticks(
         self, first: int, stop: int, snapshots: Sequence[Snapshot], is_late: bool = False
     ) -> list[OutFrame]:
-        """Note that ticks `first` to `stop` - 1 have ended; return the frames that are due.
+        """Process the ends of the ticks `first` to `stop` - 1. Return the frames that are due.
 
         is_late: the ticks are too old for their frames to be sent.
         """
@@ -231,7 +233,7 @@ class ConsumerGroup:
         return out
 
     def gap(self) -> None:
-        """Note a jump of time."""
+        """Pass a jump of time to the consumers."""
         for consumer in self.all:
             consumer.gap()
 
@@ -243,9 +245,10 @@ class ConsumerGroup:
         ticks: NDArray[np.int64],
         base: int,
     ) -> Iterator[OutPart]:
-        """Take a segment sample by sample; the frames are placed as status frames are.
+        """Process the samples of a segment one by one. The returned frames have the same positions
+        as status frames.
 
-        ticks: (N,) ticks of its frames; base: its first row.
+        ticks: (N,) ticks of the segment's frames; base: first row of the segment.
         """
         in_force = corrections.corrections
         k = first = corrections.first

@@ -1,4 +1,5 @@
-"""The existing consumers (attitude, direction of travel), made if they are switched on."""
+"""The existing consumers: attitude and direction of travel. They are created if the configuration
+enables them."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ def consumers_for(
 
     Raises ConfigError if an input is missing.
 
-    gyro_step: step of the gyroscope's signals [rad/s]; 0 if it is not known.
+    gyro_step: resolution of the gyroscope's signals [rad/s]; 0 if it is not known.
     """
     config = loaded.config
     signals = config.signals
@@ -66,13 +67,13 @@ def consumers_for(
 
 
 _SERVED = GOOD | {MountState.RESTORED}
-"""States of the mount in which there is an attitude; with a restored mount it is at most
-settling.
+"""States of the mount in which an attitude is available. With a restored mount, the state of the
+attitude is at most *settling*.
 """
 
 
 class AttitudeConsumer:
-    """Methods B and C on the corrected samples."""
+    """Computes the attitude of the vehicle from corrected samples (methods B and C)."""
 
     name = "attitude"
     channels = frozenset(ORDER)
@@ -87,12 +88,13 @@ class AttitudeConsumer:
         self._mount_std: tuple[float, float, float] | None = None
         self._mount_state = MountState.WAITING
         self.rejected = 0
-        """Number of samples that were left out because their values are impossible."""
+        """Number of samples that were not used because their values are impossible."""
 
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
-        """Take a sample; samples of the sensor are first turned into vehicle axes."""
+        """Process a sample. Samples of the calibrated sensor are first converted to vehicle
+        axes."""
         if not is_plausible(channel, values):
             self.rejected += 1
             return
@@ -129,18 +131,18 @@ class AttitudeConsumer:
         self._correction = correction
 
     def check_sensors(self) -> None:
-        """Repeat the sensor check at the next rest that is long enough."""
+        """Repeat the sensor check at the next standstill that is long enough."""
         self._saved_check = None
         self.filter.check_again()
 
     @property
     def checked(self) -> bool:
-        """True if the sensor check has been made, or is known from an earlier drive."""
+        """True if the sensor check has been completed, in this drive or in an earlier drive."""
         return self.filter.checked
 
     def saved_check(self) -> Mapping[str, Any] | None:
-        """Return the result of the sensor check for the saved state: sensor axes, SI; None before
-        it.
+        """Return the result of the sensor check for the saved state (sensor axes, SI); None before
+        the check.
         """
         found = self.filter.check
         if found is None or self._correction is None:
@@ -150,21 +152,20 @@ class AttitudeConsumer:
         return None if kept is None else kept.as_saved()
 
     def restore_check(self, saved: object) -> None:
-        """Take the check of an earlier drive; it is used once there is a mount."""
+        """Store the sensor check of an earlier drive. The check is applied as soon as a mount is
+        known."""
         self._saved_check = CheckResult.from_saved(saved)
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Take the deviations of the mount's angles, because the vehicle's axes are known no
-        better.
-
-        After a mount that was doubted, nothing in the old axes is kept.
+        """Store the standard deviations of the mount's angles. They are part of the uncertainty of
+        the attitude. When a doubted mount is good again, the attitude restarts in the new axes.
         """
         if self._mount_state in BAD and estimate.state not in BAD:
             self.begin_anew()
         self._mount_std, self._mount_state = estimate.std, estimate.state
 
     def tick(self, k: int) -> list[OutFrame]:
-        """Return attitude frames at their rate."""
+        """Return the attitude frames if they are due at the end of tick k."""
         if (k + 1) % self._every:
             return []
         known = self._correction is not None and self._mount_std is not None
@@ -172,8 +173,8 @@ class AttitudeConsumer:
         return self._frames.frames(self._estimate((k + 1) / TICK_RATE) if known else None)
 
     def _estimate(self, now: float | None = None) -> AttitudeEstimate:
-        """Return the attitude of the vehicle: that of the corrected axes, with the uncertainty of
-        these axes.
+        """Return the attitude of the vehicle. Its uncertainty includes the uncertainty of the
+        mount.
         """
         e = self.filter.estimate(now)
         if self._mount_std is None:
@@ -195,7 +196,7 @@ class AttitudeConsumer:
         self.filter.reset()
 
     def begin_anew(self) -> None:
-        """Restart after a failed calculation; the sensor check is forgotten too, because its
+        """Restart after a failed calculation. The sensor check is forgotten too, because its
         numbers may be the cause.
         """
         self.filter = self._new_filter()
@@ -239,7 +240,8 @@ class AttitudeConsumer:
 
 
 def _with_step(settings: AttitudeSettings, gyro_step: float) -> AttitudeSettings:
-    """Return the settings with the database's step [rad/s] if the configuration states none."""
+    """Return the settings. If the configuration states no resolution of the gyroscope, the
+    resolution from the database is used [rad/s]."""
     of_filter = settings.filter
     if of_filter.gyro_resolution_deg_s is None:
         of_filter = structs.replace(of_filter, gyro_resolution_deg_s=math.degrees(gyro_step))
@@ -247,23 +249,23 @@ def _with_step(settings: AttitudeSettings, gyro_step: float) -> AttitudeSettings
 
 
 def _as_corrected(zeros: CheckResult, correction: Correction) -> CheckResult:
-    """Convert zero errors in sensor axes to those of corrected samples, from which the offsets were
-    subtracted.
+    """Convert zero errors of the sensor (sensor axes) to zero errors of corrected samples. The
+    offsets were already subtracted from corrected samples.
     """
     turned = zeros.turned(correction.matrix())
     return turned.less(correction.rate_offset, correction.force_offset)
 
 
 def _as_sensed(zeros: CheckResult, correction: Correction) -> CheckResult:
-    """Convert zero errors of corrected samples to sensor axes."""
+    """Convert zero errors of corrected samples to zero errors of the sensor (sensor axes)."""
     p, q, r = correction.rate_offset
     a, b, c = correction.force_offset
     return zeros.less((-p, -q, -r), (-a, -b, -c)).turned(correction.matrix().T)
 
 
 def _offsets_changed(before: Correction, now: Correction) -> tuple[Vector, Vector]:
-    """Return the change of the offsets subtracted from rate and force, in the present vehicle
-    axes.
+    """Return the changes of the two offsets that are subtracted from turn rate and specific force,
+    in the present vehicle axes.
     """
     turn = now.matrix() @ before.matrix().T
 
@@ -278,7 +280,8 @@ def _offsets_changed(before: Correction, now: Correction) -> tuple[Vector, Vecto
 
 
 class TravelConsumer:
-    """Method D on the samples of a carried terminal, in its own axes."""
+    """Computes the direction of travel of a carried terminal from its samples, in the terminal's
+    axes (method D)."""
 
     name = "travel_direction"
     channels = frozenset(("gyro", "mag", "heading", "accel"))
@@ -293,11 +296,11 @@ class TravelConsumer:
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
-        """Take a sample."""
+        """Process a sample."""
         self.travel.sample(t, channel, values)
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Ignore the mount: a carried terminal has none."""
+        """Do nothing, because a carried terminal has no mount."""
 
     def tick(self, k: int) -> list[OutFrame]:
         """Return a frame after each tick with a new step, and one frame a second."""
@@ -308,17 +311,17 @@ class TravelConsumer:
         return self._frames.frames(travel.last, travel.state((k + 1) / TICK_RATE), travel.steps)
 
     def gap(self) -> None:
-        """Note a jump of time."""
+        """Process a jump of time."""
         self.travel.gap()
 
     def begin_anew(self) -> None:
-        """Restart after a failed calculation; counts are kept."""
+        """Restart after a failed calculation. The counts are kept."""
         before, self.travel = self.travel, TravelDirection(self._settings)
         self.travel.cycles.steps = before.cycles.steps
         self.travel.rejected = before.rejected
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
-        """Return the steps and the last direction."""
+        """Return the number of steps and the last direction."""
         last = self.travel.last
         heading = None if last is None or last.heading is None else math.degrees(last.heading)
         return self.name, {

@@ -22,16 +22,15 @@ STATE_WORDS: Mapping[str, str] = {
 
 
 REASON_STANDS_S = 12.8
-"""Shortest duration of a reported reason: two evaluations of the mount.
-
-A reason that has gone by the next evaluation explains nothing.
+"""Shortest duration of a reason that is reported [s]: two evaluations of the mount. A reason that
+disappears at the next evaluation is not useful for a reader.
 """
 
 
 @dataclass(frozen=True)
 class Event:
-    """t: stream time [s]. kind: state, reason, moved, fault, sensor or gap. text: text for
-    people.
+    """An event of a drive. t: stream time [s]. kind: state, reason, moved, fault, sensor or gap.
+    text: text for people.
     """
 
     t: float
@@ -40,10 +39,9 @@ class Event:
 
 
 class StateChanges:
-    """Changes of state, and changes of a reason within a state that have lasted for
-    `REASON_STANDS_S`.
-
-    A reason in which only numbers change counts as the same reason.
+    """Finds changes of the mount's state, and changes of the reason within a state. A new reason is
+    reported after it has lasted for `REASON_STANDS_S`. A change of numbers in a reason's text does
+    not count as a change.
     """
 
     def __init__(self) -> None:
@@ -52,7 +50,8 @@ class StateChanges:
         self._since = 0.0
 
     def note_state(self, t: float, state: str, waiting_for: Mapping[str, str]) -> Event | None:
-        """Take time [s], state and missing evidence; return the new events."""
+        """Process the state and the missing evidence at time t [s]. Return the new event, if
+        any."""
         waiting = reasons_line(waiting_for)
         reason = without_numbers(waiting)
         if reason != self._newest:
@@ -69,14 +68,14 @@ class StateChanges:
 
 
 def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
-    """Return the events of a list of times [s], states and missing evidence."""
+    """Yield the events of a series of times [s], states and missing evidence."""
     changes = StateChanges()
     yield from filter(None, (changes.note_state(*one) for one in states))
 
 
 def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
-    """Return the events in a result (or a daemon's status) about moved sensors, faults and sensor
-    health.
+    """Yield the events in a result or a daemon's status: moved sensors, faults, sensor health and
+    gaps.
     """
     details = result.get("details", {})
     for shift in details.get("shifts", ()):

@@ -1,8 +1,9 @@
-"""Frames in, frames out: the combination of router, pipeline and output. No I/O, no clock.
+"""The engine processes received frames and returns the frames to send. It combines router, pipeline
+and output. It has no I/O and reads no clock.
 
 The live daemon passes frames one by one (`frame`), and replay passes chunks of columns (`columns`).
-Both give the same frames in the same order, unless a clock was set back by less than a second (see
-`TimeBase.is_live`). One engine may use both in turn.
+Both methods give the same frames in the same order, unless a clock was set back by less than a
+second (see `TimeBase.is_live`). An engine may use both methods in turn.
 """
 
 from __future__ import annotations
@@ -43,17 +44,17 @@ if TYPE_CHECKING:
     from imucald.model_compensation.preprocessing import PreprocessingChain
 
 Turned = tuple[float, float, float] | None
-"""A sample in vehicle axes; None: no correction yet."""
+"""A sample in vehicle axes; None before there is a correction."""
 
 
 class Engine:
-    """One sensor on one bus.
+    """Processes the frames of one sensor on one bus.
 
-    on_snapshot: called with every snapshot of the estimate (for terminals and state files).
-    link_health: called whenever a health frame is made. consumers: run on the same samples.
-    new_estimator: makes the estimator for `restart_calibration`. preprocessing: removes the effects
-    in the signals that a model file knows. on_samples: called by `columns` with the samples of
-    every segment, uncorrected and corrected.
+    on_snapshot: called with every snapshot of the estimate (for the terminal and for saved states).
+    link_health: returns the health of the link for each health frame. consumers: calculations on
+    the same samples. new_estimator: function that creates the estimator for `restart_calibration`.
+    preprocessing: removes the signal effects that a model file states. on_samples: called by
+    `columns` with the uncorrected and corrected samples of every segment.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Engine:
         self.timebase = TimeBase()
         self._group = ConsumerGroup(consumers)
         self.sent = 0
-        """Number of frames returned."""
+        """Number of frames returned so far."""
         self._on_snapshot = on_snapshot
         self._on_samples = on_samples
         self._link_health = link_health
@@ -92,17 +93,17 @@ class Engine:
 
     @property
     def model_key(self) -> str:
-        """Key of the model's effect on the estimate; "" without a model."""
+        """Key that identifies the model file's effect on the estimate; "" without a model file."""
         return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
-        """Consumers that run along with the calibration."""
+        """The consumers of this engine (such as the attitude)."""
         return self._group.all
 
     @property
     def consumer_group(self) -> ConsumerGroup:
-        """The consumers as a group, with their failures."""
+        """The consumers as a group that also counts failed calculations."""
         return self._group
 
     def go_on_from(
@@ -112,13 +113,11 @@ class Engine:
         keeps_consumers: bool = False,
         is_same_bus: bool = True,
     ) -> None:
-        """Take the place of another engine between two frames.
+        """Replace another engine between two frames. Only parts whose inputs have changed restart.
 
-        Only what depends on changed inputs restarts.
-
-        estimator: continues from here; it may be the former engine's only if all inputs are the
-        same. keeps_consumers: whether the former engine's consumers equal those that this engine
-        would have. is_same_bus: if False, every input has changed, even with the same identifiers.
+        estimator: the estimator to use. The estimator of the former engine is allowed only if all
+        inputs are the same. keeps_consumers: if True, the consumers of the former engine are used.
+        is_same_bus: if False, every input counts as changed, even with the same identifiers.
         """
         before = former.pipeline
         same = self.router.same_sources(former.router) if is_same_bus else frozenset()
@@ -151,12 +150,12 @@ class Engine:
     def frame(
         self, stamp: float, can_id: int, data: bytes, late: float | None = None
     ) -> list[OutFrame]:
-        """Take one frame; return the frames to send.
+        """Process one received frame. Return the frames to send.
 
-        stamp: reception time [s], wall clock. can_id with the flag for 29 bits. late: if the frame
-        is too old to be corrected, the present time by a clock that is never set [s]. A late frame
-        is learnt from. During a burst of late frames, the number of sent frames a second stays the
-        same: frames *not available*, and the newest status.
+        stamp: reception time [s], wall clock. can_id: with the flag for 29 bits. late: None, or (if
+        the frame is too old to be corrected) the present time of a clock that is never set [s]. The
+        estimator learns from late frames too. During a burst of late frames, the frames *not
+        available* and the newest status are sent at their usual rate.
         """
         t, gap = self.timebase.stream_time(stamp)
         out: list[OutFrame] = []
@@ -196,8 +195,8 @@ class Engine:
     def _turned(
         self, t: float, samples: Sequence[Sample], correction: Correction | None
     ) -> dict[str, Turned]:
-        """Return the samples of one frame in vehicle axes, by channel; None if there is no
-        correction.
+        """Return the samples of one frame in vehicle axes, by channel. A sample is None if there is
+        no correction.
         """
         triads, planar = self.output.triads, self.output.planar
         turned: dict[str, Turned] = {}
@@ -213,8 +212,8 @@ class Engine:
         return turned
 
     def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
-        """Return frames of corrected samples, or *not available* where a sensor is not fit to be
-        used.
+        """Return the frames of corrected samples. The frame of a faulty sensor has the values *not
+        available*.
         """
         output, faults, quality = self.output, self.pipeline.health.faults, self.pipeline.quality
         out: list[OutFrame] = []
@@ -228,21 +227,23 @@ class Engine:
     def _not_available(
         self, channels: Collection[str], spaced: Mapping[str, Spaced], now: float
     ) -> list[OutFrame]:
-        """Return frames in place of samples that were rejected or are late, one per cycle."""
+        """Return frames *not available* for samples that were rejected or are late, at most one per
+        channel and cycle."""
         output = self.output
         due = [c for c in output.triads if c in channels and spaced[c].passes(now)]
         return [output.corrected(channel, None, 0) for channel in due]
 
     def idle(self, elapsed: float) -> list[OutFrame]:
-        """Close the ticks that have passed, because no configured frame came for `elapsed`
-        seconds."""
+        """End the ticks that have passed while no configured frame arrived for `elapsed` [s].
+        Return the frames to send."""
         k = tick_index(self.timebase.idle(elapsed))
         out = self._advance(k, False)
         self.sent += len(out)
         return out
 
     def _advance(self, k: int, gap: bool, late: float | None = None) -> list[OutFrame]:
-        """Close all ticks before k: first the status frames, then those of the consumers.
+        """End all ticks before k. Return the status frames, followed by the frames of the
+        consumers.
 
         late: as in `frame`; the consumers then send nothing.
         """
@@ -259,8 +260,8 @@ class Engine:
         return out
 
     def heartbeat(self) -> list[OutFrame]:
-        """Return status frames while no stream time passes: nothing was received yet, or not for
-        long.
+        """Return the status frames for a silent bus: no frame was received yet, or none for a long
+        time.
         """
         health = self._watch.all_missing(self._link_health())
         out = self.output.status(self.pipeline.estimator.estimate(), False, health)
@@ -270,31 +271,32 @@ class Engine:
     # starting again ------------------------------------------------------------------------
 
     def restart_calibration(self) -> MountEstimator:
-        """Forget the estimate and begin again; all counters continue. Return the former estimator.
-
-        The ends of the sensors' ranges must be found again.
+        """Forget the estimate and start again. All counters continue. Return the former estimator.
+        The known limits of the sensors' ranges are forgotten too.
         """
         self.pipeline.health.forget_rails()
         return self.pipeline.replace(self.new_estimator(), afresh=True)
 
     def new_estimator(self) -> MountEstimator:
-        """Return a new estimator without knowledge, behind the mount that the configuration states.
+        """Return a new estimator that has learnt nothing. If the configuration states a mount, the
+        estimator starts with this mount.
 
-        Raises EstimateError if the engine was made without the function for it.
+        Raises EstimateError if the engine has no function `new_estimator`.
         """
         if self._new_estimator is None:
             raise EstimateError("this engine cannot make a new estimator")
         return self._new_estimator()
 
     def resume_calibration(self, former: MountEstimator) -> None:
-        """Use an estimator again that `restart_calibration` returned, in its state of that time."""
+        """Use an estimator again that `restart_calibration` returned. The estimator continues with
+        its former state."""
         former.gap()
         self.pipeline.replace(former)
 
     # columns -------------------------------------------------------------------------------
 
     def columns(self, frames: FrameColumns, keep: bool = True) -> FrameColumns | None:
-        """Take a chunk of frames; return the frames to send (None with keep=False)."""
+        """Process a chunk of frames. Return the frames to send (None with keep=False)."""
         parts = [
             part
             for segment in self.timebase.segments(frames.t)
@@ -305,7 +307,7 @@ class Engine:
         return merged(parts, frames)
 
     def _after_gap(self, segment: TimeSegment, keep: bool) -> Iterator[OutPart]:
-        """Begin a segment without knowledge of the time before it."""
+        """Begin a new segment after a jump of time. Yield the frames that are due."""
         base, first = segment.start, self.pipeline.k
         snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
         if self.preprocessing is not None:
@@ -364,7 +366,7 @@ class Engine:
             self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
 
     def _lost_rows(self, routed: Routed, t: NDArray[np.float64]) -> dict[str, NDArray[np.int64]]:
-        """Return, by channel, the rows that get a frame with *not available*."""
+        """Return, by channel, the rows for which a frame *not available* is sent."""
         lost: dict[str, NDArray[np.int64]] = {}
         for channel in self.output.triads:
             series, bad = routed.samples.get(channel), routed.rejected.get(channel)
@@ -392,7 +394,8 @@ class Engine:
         events: NDArray[np.float64],
         routed: Routed | None = None,
     ) -> Iterator[OutPart]:
-        """Return status frames with the health at each snapshot, not at the chunk's end."""
+        """Yield the status frames of snapshots. Each contains the health at the time of its
+        snapshot, not at the end of the chunk."""
         watch, before = self._watch, self._watch.rejected
         for snapshot in snapshots:
             k, seen = snapshot.k, events[events <= snapshot.k]
@@ -402,7 +405,7 @@ class Engine:
             yield from self._frame_parts(out, row_of(k))
 
     def _hand_on(self, snapshots: Sequence[Snapshot]) -> None:
-        """Pass on snapshots when the frames for them are not needed."""
+        """Process snapshots without encoding their frames."""
         self.sent += STATUS_FRAMES * len(snapshots)
         if self._on_snapshot is not None:
             for snapshot in snapshots:
@@ -411,8 +414,8 @@ class Engine:
     # status --------------------------------------------------------------------------------
 
     def health(self) -> Health:
-        """Return the content of a health frame now; before the first configured frame, all inputs
-        are missing.
+        """Return the present content of the health frame. Before the first configured frame, all
+        inputs are reported as missing.
         """
         link, rejecting = self._link_health(), self._watch.is_recent(self.pipeline.k)
         if not self.timebase.started:
@@ -420,7 +423,8 @@ class Engine:
         return self._watch.health(self.pipeline.k, link, self.pipeline.health.unfit)
 
     def _newest(self, snapshots: Sequence[Snapshot], now: float) -> Sequence[Snapshot]:
-        """Return the late snapshot that is sent, at most at their rate by the clock."""
+        """Return the newest of the late snapshots if its status frames may be sent now. The rate of
+        status frames is limited by the clock `now` [s]."""
         due = snapshots[-1:] if snapshots and self._late_status.passes(now) else []
         if self._on_snapshot is not None:
             for snapshot in snapshots[: len(snapshots) - len(due)]:

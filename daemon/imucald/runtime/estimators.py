@@ -1,4 +1,4 @@
-"""Make the estimator of a configuration."""
+"""Create the estimator of a configuration."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from imucald.mount.restored import StoredMount
 
 CONFIGURED_DELAY_STD = 0.03
-"""Deviation of a configured delay [s]."""
+"""Standard deviation of a configured delay [s]."""
 
 
 def estimator_for(
@@ -34,9 +34,9 @@ def estimator_for(
     compensation: ModelCompensation | None = None,
     stated: Collection[str] = (),
 ) -> MountEstimator:
-    """Return the estimator for a configuration, behind the mount that it states.
-
-    Raises EstimateError if that mount is too vague. See `learning_estimator`.
+    """Return the estimator for a configuration. If the configuration states a mount, the estimator
+    starts with this mount. Raises EstimateError if the stated mount is too uncertain. See
+    `learning_estimator`.
     """
     learning = learning_estimator(config, compensation, stated)
     if (mount := config.calibration.mount) is None:
@@ -52,12 +52,11 @@ def learning_estimator(
     compensation: ModelCompensation | None = None,
     stated: Collection[str] = (),
 ) -> MountEstimator:
-    """Return the estimator that finds the mount of a configuration, with the knowledge of its
-    model.
+    """Return the estimator that finds the mount, with the settings of a configuration and the
+    knowledge of its model file.
 
-    Where neither a speed nor turns are known, this is method A.
-
-    stated: keys of `vehicle` in the file, which no model overrules.
+    If the configuration has neither a speed nor a turn rate, the estimator is method A. stated:
+    keys of `vehicle` in the configuration file; the model file does not override these keys.
     """
     if config.uses_method_a:
         from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - few use it
@@ -73,17 +72,14 @@ def learning_estimator(
 
 
 FINEST_STATED = math.radians(0.01)
-"""Smallest deviation of a stated mount [rad]: a tenth of what a workshop measures.
-
-A mount with a smaller deviation would outvote all evidence forever.
+"""Smallest accepted deviation of a stated mount [rad]: a tenth of the accuracy of a workshop. With
+a smaller deviation, no evidence could ever change the mount.
 """
 
 
 def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
-    """Return a mount that a person states, in the form that an estimator serves.
-
-    Raises EstimateError if it is not known well enough to be *usable* (`targets`), or if its
-    deviation is smaller than any mount's (`FINEST_STATED`).
+    """Convert a mount that a person states to the form that an estimator uses. Raises EstimateError
+    if its deviations are too large for *usable* (`targets`) or smaller than `FINEST_STATED`.
     """
     from imucald.mount.restored import StoredMount  # noqa: PLC0415 - few state one
 
@@ -104,7 +100,8 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
 
 
 def against_orientation(mount: KnownMount | None, config: Config) -> str | None:
-    """Return, in words, the contradiction between a stated mount and `orientation`; None: none."""
+    """Return a text about the contradiction between a stated mount and `orientation`; None if they
+    agree."""
     if mount is None or config.uses_method_a:  # that does not read `orientation`
         return None
     calibration = config.calibration
@@ -131,9 +128,8 @@ def published_settings(config: Config) -> PublishedSettings:
 
 
 def _are_sides_turned(signals: Signals) -> bool:
-    """Return whether signals that tell left from right are turned and the accelerometer is not.
-
-    The accelerometer may then be mirrored instead.
+    """Return whether the signs of signals that distinguish left from right are inverted while the
+    accelerometer's signs are not. In this case the accelerometer may be mirrored instead.
     """
     accelerometer, gyroscope = signals.accelerometer[0], signals.gyroscope
     if accelerometer.x.sign < 0 or accelerometer.y.sign < 0:

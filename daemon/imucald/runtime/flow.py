@@ -1,7 +1,6 @@
-"""Text and kind of the first line of a daemon's status: do corrected frames flow now?
+"""The first line of a daemon's status: it states whether corrected frames are sent now.
 
-The module gives the alarms of the health frame in words, and those that mean that no good data are
-sent.
+The module also converts the alarms of the health frame to texts.
 """
 
 from __future__ import annotations
@@ -30,26 +29,27 @@ ALARMS = {
     "id_conflict": "another node sends our ids",
     "send_failed": "frames not sent",
 }
-"""Texts by the names of `Health`."""
+"""Texts of the alarms, by the names in `Health`."""
 
 PASSING = frozenset({"input_rejected", "frames_lost"})
-"""Alarms that a good bus raises now and then: they are reported, but are no fault."""
+"""Alarms that also occur on a good bus. They are reported, but do not count as a fault."""
 
 
 STARTING_S = 2.0
-"""Time from its start in which a daemon without input counts as starting [s].
-
-An input is missing after one second, and one sample a second (GNSS speed) is the slowest input.
+"""During this time after its start, a daemon without input counts as starting [s]. An input counts
+as missing after one second, and the slowest input (GNSS speed) has one sample per second.
 """
 
 
 def is_starting(status: Mapping[str, Any]) -> bool:
-    """Return whether the first samples of a daemon may still come. status: its status."""
+    """Return whether a daemon has just started and its first samples may still arrive. status:
+    status of the daemon."""
     return not status["signals"] and status["uptime_s"] < STARTING_S
 
 
 def present_alarms(status: Mapping[str, Any]) -> dict[str, str]:
-    """Return the alarms in a daemon's status; a missing input is no alarm while it is starting."""
+    """Return the alarms in a daemon's status. While the daemon is starting, a missing input is not
+    an alarm."""
     found = alarms_of(status["health"])
     if not is_starting(status):
         return found
@@ -62,7 +62,7 @@ def alarms_of(health: Mapping[str, object]) -> dict[str, str]:
 
 
 GOOD = {1: "restored", 2: "usable", 3: "fine"}
-"""Qualities of a corrected frame that a receiver may use, in rising order."""
+"""Qualities of corrected frames that a receiver may use, with their names, in rising order."""
 SUSPECT = 4
 
 
@@ -72,24 +72,26 @@ class FlowKind(StrEnum):
     GOOD = "good"
     STARTING = "starting"
     NOT_YET = "not yet"
-    """Frames without numbers, because the mount is not known."""
+    """Frames *not available* are sent, because the mount is not known."""
     SUSPECT = "suspect"
     FAULTY = "faulty"
-    """Frames without numbers, because the accelerometer is faulty."""
+    """Frames *not available* are sent, because the accelerometer is faulty."""
     CONFLICT = "conflict"
-    """Our frames, and another node's under the same identifiers."""
+    """Another node sends frames with the same identifiers as our frames."""
     NONE = "none"
 
 
 class Flow(Struct, frozen=True):
-    """kind: what a receiver gets now; text: the same in a sentence, with the cause."""
+    """The data that receivers get now. kind: kind of the data. text: sentence with the kind and its
+    cause."""
 
     kind: FlowKind
     text: str
 
 
 def flow(status: Mapping[str, Any]) -> Flow:
-    """Return what a receiver gets now, from a daemon's status (docs/service.md)."""
+    """Return the kind of data that receivers get now. status: status of a daemon
+    (docs/service.md)."""
     state, quality = status["state"], status["quality"]
     if (cause := _why_none(status)) is not None:
         return Flow(FlowKind.NONE, f"{cause}: no corrected frames (mount: {state})")
@@ -113,7 +115,8 @@ def flow(status: Mapping[str, Any]) -> Flow:
 
 
 def _why_none(status: Mapping[str, Any]) -> str | None:
-    """Return why no corrected data are sent now; None: they are sent, or will be."""
+    """Return the reason why no corrected frames are sent now. None if frames are sent or the daemon
+    is starting."""
     alarms = present_alarms(status)
     if status["link"]["state"] != "up":
         return f"BUS {status['link']['state'].upper()}"

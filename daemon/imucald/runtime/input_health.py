@@ -1,4 +1,4 @@
-"""Inputs received lately, and rejections: the content of the health frame."""
+"""The content of the health frame: missing inputs and rejected frames."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.runtime.output.output_frames import Health
 
 MISSING_TICKS = 10
-"""Ticks without a sample after which an input is missing: one second."""
+"""Number of ticks without a sample after which an input counts as missing: one second."""
 _SENSORS = {"accel": "accelerometer_missing", "gyro": "gyroscope_missing", "speed": "speed_missing"}
 
 
 class LinkHealth(Struct, frozen=True):
-    """Health that only the bus link knows; all zero in replay."""
+    """The part of the health that the bus link reports. All values are zero in replay."""
 
     lost: int = 0
     frames_lost: bool = False
@@ -29,10 +29,10 @@ class LinkHealth(Struct, frozen=True):
 
 
 class InputWatch:
-    """Ticks of the last samples and rejections of one engine. channels: those that can come.
+    """Stores the ticks of the last samples and of the rejections of one engine.
 
-    last: for each channel, the tick of the last sample. rejected: number of rejected frames and
-    samples so far.
+    channels: the configured channels. last: for each channel, the tick of the last sample.
+    rejected: number of rejected frames and samples so far.
     """
 
     def __init__(self, channels: Iterable[str]) -> None:
@@ -44,7 +44,7 @@ class InputWatch:
     def go_on_from(self, former: InputWatch, same: Collection[str], k: int) -> None:
         """Continue from another watch at tick k. same: channels from the same sources.
 
-        The other channels count from now on, as at the start of a process.
+        For the other channels, the time without a sample starts at tick k.
         """
         for channel in self.last:
             is_known = channel in same and channel in former.last
@@ -52,7 +52,7 @@ class InputWatch:
         self.rejected, self._rejections = former.rejected, former._rejections
 
     def count_rejections(self, k: int, total: int) -> None:
-        """Take the total number of rejections, in tick k."""
+        """Update the total number of rejections in tick k."""
         if total > self.rejected:
             self._rejections.append(k)
             self.rejected = total
@@ -60,8 +60,8 @@ class InputWatch:
     def take_columns(
         self, routed: Routed, events: NDArray[np.float64], last: int, total: int
     ) -> None:
-        """Take a chunk's samples, the ticks (M,) of its rejections, its last tick, and the total of
-        rejections.
+        """Update with a chunk of columns. routed: samples of the chunk. events: (M,) ticks of its
+        rejections. last: last tick of the chunk. total: number of rejections so far.
         """
         self.rejected = total
         recent = sorted(set(events[events > last - 2 * MISSING_TICKS].tolist()))
@@ -77,7 +77,8 @@ class InputWatch:
         return bool(self._rejections) and self._rejections[0] <= k
 
     def last_until(self, k: int, routed: Routed | None) -> dict[str, int]:
-        """Return `last` at the end of tick k, within a chunk that is not taken yet."""
+        """Return the value of `last` at the end of tick k, including the samples of a chunk that is
+        still being processed."""
         return {channel: self._last_sample(channel, k, routed) for channel in self.last}
 
     def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:

@@ -1,4 +1,5 @@
-"""Orders about the mount by people: reset, hold, release, set; and a tester's calibration.
+"""Orders of people about the mount: reset, hold, release, set, and the calibration by a diagnostic
+tester.
 
 The control socket and the diagnostics on the bus use the same implementation. Every order is logged
 with the person who gave it. Nothing here opens a file: the service stores the results.
@@ -23,7 +24,8 @@ from imucald.runtime.estimators import against_orientation, known_mount
 TESTER: Final = "a tester on the bus"
 
 FirstTimes = tuple[float | None, float | None]
-"""Stream times [s] at which a mount became usable, and fine."""
+"""Stream times [s] at which a mount first became usable and first became fine; None if it did
+not."""
 
 
 class OrderError(ImucaldError):
@@ -31,7 +33,7 @@ class OrderError(ImucaldError):
 
 
 class OrderedService(Protocol):
-    """Service that runs the calibration; its engine and configuration change at a reload."""
+    """The service that runs the calibration. A reload replaces its engine and its configuration."""
 
     @property
     def engine(self) -> Engine:
@@ -44,20 +46,22 @@ class OrderedService(Protocol):
         ...
 
     def forget_state(self) -> str:
-        """Forget all that was saved; return why the disk does not take that now, or ""."""
+        """Forget the saved state. Return the reason if the disk cannot be changed now, or ""."""
         ...
 
     def save_state(self) -> str:
-        """Save the present mount, held or not; return why the disk does not take it, or ""."""
+        """Save the present mount, also if it is held. Return the reason if the disk cannot be
+        written, or ""."""
         ...
 
     def log_order(self, who: str, text: str) -> None:
-        """Log the order, and the person who gave it."""
+        """Log an order and the person who gave the order."""
         ...
 
 
 class MountOrders:
-    """Carries orders out. who: person who gave the order, in words ("root (pid 812)")."""
+    """Carries out orders. In all methods, `who` is a text about the person who gave the order
+    ("root (pid 812)")."""
 
     def __init__(self, service: OrderedService) -> None:
         self._service = service
@@ -79,7 +83,8 @@ class MountOrders:
         return self._service.engine.pipeline.estimator
 
     def reset(self, who: str) -> str:
-        """Forget the learnt and the saved mount and begin again; this cannot be undone."""
+        """Forget the learnt mount and the saved mount, and start again. The order cannot be
+        undone."""
         self._former = None
         self._service.engine.restart_calibration()
         not_yet = self._service.forget_state()
@@ -89,7 +94,8 @@ class MountOrders:
         return self._logged(who, text + _not_on_the_disk(not_yet))
 
     def hold(self, who: str) -> str:
-        """Keep the present mount and learn nothing. Raises OrderError without a mount."""
+        """Hold the present mount: the estimator does not change it. Raises OrderError if there is
+        no mount."""
         if self.is_held:
             raise OrderError("the mount is held already")
         kept = held(self._estimator)
@@ -104,9 +110,8 @@ class MountOrders:
         return self._logged(who, text + _not_saved(self._put(kept)))
 
     def release(self, who: str) -> str:
-        """Learn again.
-
-        Raises OrderError if nothing is held, or if the configuration holds the mount.
+        """End the hold of the mount: the estimator may change it again. Raises OrderError if no
+        mount is held, or if the configuration holds the mount.
         """
         kept = self._held
         if kept is None:
@@ -116,7 +121,7 @@ class MountOrders:
         return self._logged(who, "release: the mount is learnt again" + _not_saved(not_yet))
 
     def set_mount(self, mount: KnownMount, who: str) -> str:
-        """Use a known mount. Raises OrderError if it is too vague."""
+        """Use a mount that a person states. Raises OrderError if its deviations are too large."""
         self._refuse_where_configured()
         if (text := against_orientation(mount, self._service.loaded.config)) is not None:
             raise OrderError(f"this mount {text}")
@@ -137,14 +142,15 @@ class MountOrders:
     # a tester's calibration, which can be taken back ----------------------------------------
 
     def begin(self, who: str) -> None:
-        """Begin again, and keep the former estimator for a return."""
+        """Start the calibration again, and keep the former estimator for `return_to_former`."""
         pipeline = self._service.engine.pipeline
         first = pipeline.first_usable, pipeline.first_fine
         self._former = self._settings(), self._service.engine.restart_calibration(), first
         self._logged(who, "the calibration is started again")
 
     def return_to_former(self, who: str) -> bool:
-        """Use the former estimator again, unless it was made for other settings."""
+        """Use the former estimator again. Return False if there is none, or if the settings have
+        changed since then."""
         if self._former is None or self._former[0] != self._settings():
             return False
         _, estimator, first = self._former
@@ -162,7 +168,8 @@ class MountOrders:
     # ----------------------------------------------------------------------------------------
 
     def _settings(self) -> object:
-        """Return all settings of an estimator, because the file may be read again meanwhile."""
+        """Return all settings that an estimator depends on. A reload of the file may change these
+        settings."""
         config = self._service.loaded.config
         return config.signals, config.calibration, config.vehicle
 
@@ -170,7 +177,7 @@ class MountOrders:
         return without_stored(self._service.engine.new_estimator())
 
     def _put(self, estimator: MountEstimator) -> str:
-        """Replace the estimator; return why the disk does not take it now, or ""."""
+        """Replace the estimator. Return the reason if the new mount cannot be saved now, or ""."""
         self._former = None
         self._service.engine.pipeline.replace(estimator)
         return self._service.save_state()
@@ -191,7 +198,7 @@ class MountOrders:
 
 
 def _not_on_the_disk(reason: str) -> str:
-    """Return the text for a disk that did not take that the saved mount is forgotten."""
+    """Return the text for a saved mount that could not be removed from the disk."""
     if not reason:
         return ""
     return (
@@ -201,7 +208,7 @@ def _not_on_the_disk(reason: str) -> str:
 
 
 def _not_saved(reason: str) -> str:
-    """Return the text for a disk that did not take the mount of an order."""
+    """Return the text for a mount that could not be saved after an order."""
     if not reason:
         return ""
     return (

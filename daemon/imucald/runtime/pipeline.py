@@ -1,9 +1,8 @@
-"""The pipeline: time-stamped samples in, corrections out. The pipeline opens nothing and reads no
-clock.
+"""The pipeline converts time-stamped samples to corrections. It opens no files and reads no clock.
 
-Samples are gathered into ticks. At the end of each tick the estimator learns from it and gives the
-correction for the next tick. The live daemon adds samples one by one (`add_sample`), replay adds
-whole columns (`run`). Both give the same corrections to the last bit.
+Samples are collected in ticks. At the end of each tick, the estimator processes the tick and
+returns the correction for the next tick. The live daemon adds samples one by one (`add_sample`);
+replay adds whole columns (`run`). Both methods give the same corrections to the last bit.
 """
 
 from __future__ import annotations
@@ -42,10 +41,10 @@ from imucald.mount.estimate import (
 )
 
 FEW_TICKS = 3
-"""Up to this many ticks are closed one by one."""
+"""Up to this number of ticks, each tick is processed alone."""
 
 Quality = int
-"""Quality in the frames: 0 not available, 1 restored, 2 usable, 3 fine, 4 suspect."""
+"""Quality in the output frames: 0 not available, 1 restored, 2 usable, 3 fine, 4 suspect."""
 
 _QUALITY = {
     MountState.USABLE: 2,
@@ -64,7 +63,7 @@ class Snapshot(Struct, frozen=True):
     usable: bool
     """True if a correction is applied from this tick on."""
     faults: Mapping[str, Faults] = field(default_factory=dict)
-    """For each channel, the faults of sensors and signals that are not fit to be used."""
+    """For each channel of a faulty sensor or signal, its faults."""
 
     @property
     def t(self) -> float:
@@ -75,8 +74,9 @@ class Snapshot(Struct, frozen=True):
 class TickCorrections(Struct, frozen=True, dict=True):
     """The corrections applied during ticks `first`, `first` + 1, ..., and their qualities.
 
-    The arrays are made on first use, because not every replay needs them. unfit: for each channel,
-    the ticks (n,) in which its sensor is not fit to be used; absent: always fit.
+    The arrays are computed at the first use, because not every replay needs them. unfit: for each
+    channel, a mask (n,) of the ticks in which its sensor is faulty. A channel without an entry has
+    no fault.
     """
 
     first: int
@@ -86,14 +86,14 @@ class TickCorrections(Struct, frozen=True, dict=True):
 
     @cached_property
     def _spells(self) -> tuple[list[Correction | None], NDArray[np.int64]]:
-        """The successive corrections, and the first tick of each (m,)."""
+        """The m successive corrections, and the first tick of each correction (m,)."""
         which = np.fromiter(map(id, self.corrections), np.uint64, len(self.corrections))
         first = np.append(0, np.flatnonzero(which[1:] != which[:-1]) + 1)
         return [self.corrections[i] for i in first.tolist()], first
 
     def _rows(self, channel: str) -> NDArray[np.float64]:
-        """Return, for each correction, matrix by rows and offset for a channel's samples (m, 12);
-        or NaN.
+        """Return for each of the m corrections the matrix (row by row) and the offset for a
+        channel's samples, (m, 12). The values are NaN without a correction.
         """
         of = [None if c is None else c.matrix_and_offset(channel) for c in self._spells[0]]
         return np.array([(math.nan,) * 12 if c is None else (*c[0], *c[1]) for c in of])
@@ -101,18 +101,17 @@ class TickCorrections(Struct, frozen=True, dict=True):
     def turned(
         self, channel: str, ticks: NDArray[np.int64], values: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return samples (N, 3) of a channel in ticks (N,), counted from `first`, in vehicle
-        axes.
+        """Convert samples (N, 3) of a channel to vehicle axes. ticks: (N,) ticks of the samples,
+        counted from `first`.
         """
         rows = self.rows_in(channel, ticks)
         return times_columns(rows, values) - rows[:, 9:]
 
     def rows_in(self, channel: str, ticks: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return matrix by rows and offset for a channel's samples in ticks (N,), counted from
-        `first`: (N, 12), SI; NaN if nothing is applied. `Correction.matrix_and_offset` selects
-        them.
-
-        The shape is (1, 12) if the correction is the same in all n ticks, as most of the time.
+        """Return the matrix (row by row) and the offset for a channel's samples in each of the
+        ticks (N,), counted from `first`: (N, 12), SI. The values are NaN without a correction.
+        `Correction.matrix_and_offset` defines matrix and offset. The shape is (1, 12) if the
+        correction is the same in all n ticks.
         """
         rows, (_, first) = self._rows(channel), self._spells
         if len(rows) == 1:
@@ -121,29 +120,29 @@ class TickCorrections(Struct, frozen=True, dict=True):
 
     @cached_property
     def quality(self) -> NDArray[np.uint8]:
-        """(n,) quality in each tick."""
+        """Quality in each tick, (n,)."""
         return np.array(self.qualities, dtype=np.uint8)
 
 
 class TickPreprocessor(Protocol):
-    """Changes the rows of ticks before the estimator sees them."""
+    """Changes the rows of ticks before the estimator processes them."""
 
     def row(self, row: TickRow, correction: Correction | None) -> TickRow:
         """Return the tick for the estimator. correction: the correction applied during the tick."""
         ...
 
     def gap(self) -> None:
-        """Note a jump of time: earlier data are not joined with later data."""
+        """Process a jump of time: data from before the jump are not combined with later data."""
         ...
 
 
 class Pipeline:
-    """From samples to ticks, to the estimator, to corrections, for one sensor.
+    """Collects the samples of one sensor in ticks, passes the ticks to the estimator, and stores
+    the corrections.
 
-    status_ticks: number of ticks between two snapshots of the estimate. preprocessor: removes known
-    effects of a model from ticks before the estimator sees them. health: judges the samples as the
-    sensors gave them (`watch`). The estimator gets no samples of a sensor that is not fit to be
-    used.
+    status_ticks: number of ticks between two snapshots of the estimate. preprocessor: removes the
+    effects that a model file states from ticks, before the estimator processes them. health: checks
+    the uncorrected samples. The estimator receives no samples of a faulty sensor.
     """
 
     def __init__(
@@ -159,14 +158,15 @@ class Pipeline:
         self.correction: Correction | None = estimator.correction
         self.quality: Quality = 0
         self.first_usable: float | None = None
-        """Stream time [s] at which the correction first became usable, and first became fine."""
+        """Stream times [s] at which the correction first became usable and first became fine; None
+        if it did not."""
         self.first_fine: float | None = None
         self.k = 0
-        """Number of the open tick."""
+        """Number of the open tick: the tick to which new samples are added."""
         self.speed: tuple[int, float] | None = None
-        """The last tick with a known speed, and its mean [m/s]."""
+        """The last tick with a known speed, and the mean speed in this tick [m/s]."""
         self.closed: TickRow | None = None
-        """Row of the tick before the open one, if that tick was closed alone."""
+        """Row of the last tick that was processed alone; None before the first such tick."""
         self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
         self._judges, self._keeps = _judging(estimator), _keeping(estimator)
@@ -176,7 +176,7 @@ class Pipeline:
     # live ----------------------------------------------------------------------------------
 
     def add_sample(self, t: float, channel: str, values: Sequence[float]) -> None:
-        """Add one sample of the open tick (see `advance`)."""
+        """Add one sample to the open tick (see `advance`)."""
         self._ticks.add_sample(channel, t, values)
 
     def reject(self, channel: str) -> None:
@@ -184,7 +184,8 @@ class Pipeline:
         self._ticks.reject(channel)
 
     def advance(self, k: int) -> list[Snapshot]:
-        """Close all ticks before tick k, which becomes the open one; return the due snapshots."""
+        """End all ticks before tick k. Tick k becomes the open tick. Return the snapshots that are
+        due."""
         snapshots: list[Snapshot] = []
         while self.k < k:
             self.health.close(self.k)
@@ -192,7 +193,8 @@ class Pipeline:
         return snapshots
 
     def gap(self, k: int) -> list[Snapshot]:
-        """Note a jump of time: close all ticks before k, where a new segment begins."""
+        """Process a jump of time: end all ticks before k. A new segment begins at tick k. Return
+        the snapshots that are due."""
         snapshots = self.advance(k)
         self.estimator.gap()
         self.health.gap()
@@ -201,9 +203,9 @@ class Pipeline:
         return snapshots
 
     def replace(self, estimator: MountEstimator, afresh: bool = False) -> MountEstimator:
-        """Continue with another estimator from the open tick on; return the former one.
+        """Use another estimator from the open tick on. Return the former estimator.
 
-        afresh: the former mount is forgotten, and the time since which it was good.
+        afresh: if True, the times at which the mount became usable and fine are forgotten.
         """
         former, self.estimator = self.estimator, estimator
         self._judges, self._keeps = _judging(estimator), _keeping(estimator)
@@ -214,9 +216,9 @@ class Pipeline:
         return former
 
     def go_on_from(self, former: Pipeline, same: Collection[str]) -> None:
-        """Continue from another pipeline, with this one's estimator.
+        """Continue at the open tick of another pipeline, with the estimator of this pipeline.
 
-        same: channels from the same sources; knowledge of their health is kept.
+        same: channels with unchanged sources; their health is kept.
         """
         self.k = former.k
         judged = self._judges is not None
@@ -234,12 +236,12 @@ class Pipeline:
         with_snapshots: bool = True,
         watched: Samples | None = None,
     ) -> tuple[TickCorrections, list[Snapshot]]:
-        """Add columns of samples up to stream time t_last [s], whose tick stays open.
+        """Add columns of samples up to stream time t_last [s]. The tick at t_last stays open.
 
-        Samples are those since the last call. rejected: channel to times [s]. watched: the samples
-        as the sensors gave them, if they differ. Returns the corrections from the previously open
-        tick to the now open tick, and snapshots. There are none without `with_snapshots`, which
-        saves time.
+        samples: all samples since the last call. rejected: times [s] of rejected samples, by
+        channel. watched: the uncorrected samples, if they differ. Returns the corrections from the
+        previously open tick to the now open tick, and the snapshots. With with_snapshots=False, no
+        snapshots are made, which saves time.
         """
         first, last = self.k, tick_index(t_last)
         rows = [self.correction]
@@ -270,9 +272,11 @@ class Pipeline:
         return TickCorrections(first, rows, quality, _unfit_ticks(faults, first, last)), snapshots
 
     def _keep_quiet(self, rows: NDArray[np.float64], snapshots: list[Snapshot] | None) -> int:
-        """Close together all ticks that the estimator only stores; return their number.
+        """Process together all ticks that the estimator only stores. Return the number of these
+        ticks.
 
-        rows: rows of the ticks from the open one on. No sensor may be unfit in any of them.
+        rows: rows of the ticks from the open tick on. No sensor may be faulty in any of these
+        ticks.
         """
         estimator, keeps = self.estimator, self._keeps
         if self._preprocessor is not None or keeps is None:
@@ -318,7 +322,7 @@ class Pipeline:
     def _close(
         self, row: TickRow, snapshots: list[Snapshot] | None, faults: Mapping[str, Faults]
     ) -> None:
-        """Close a tick. faults: the present faults from its end on."""
+        """End a tick. faults: faults that are present from the end of the tick on."""
         estimator = self.estimator
         if faults:
             row = emptied(row, faults)
@@ -337,9 +341,7 @@ class Pipeline:
             snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, unfit))
 
     def _take_signals(self) -> None:
-        """Pass the estimator's findings on the vehicle's signals in a new block to the signal
-        health.
-        """
+        """Pass the stuck signals that the estimator found in a new block to the signal health."""
         if self._judges is None:
             return
         judged = self._judges.stuck_signals
@@ -374,9 +376,9 @@ def _of_tick(series: Series, k: int) -> Series:
 def _unfit_ticks(
     faults: Sequence[Mapping[str, Faults]], first: int, last: int
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return ticks `first` to `last` in which a sensor is unfit, by channel.
+    """Return masks of the ticks `first` to `last` in which a sensor is faulty, by channel.
 
-    faults: one entry per hop.
+    faults: the faults in each hop (`HOP_TICKS` ticks).
     """
     channels = {channel for of_hop in faults for channel in of_hop}
     if not channels:

@@ -1,4 +1,4 @@
-"""Replay of recorded logs through the engine, by columns."""
+"""Replay: pass recorded logs through the engine as columns."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from imucald.runtime.engine import Engine
 from imucald.runtime.summary import RunCounts, summary
 
 Sink = Callable[[FrameColumns], None]
-"""Function that takes the frames of the engine."""
+"""Function that receives the output frames of the engine."""
 
 SLICE_S = 0.05
-"""Longest sleep of a paced replay [s]."""
+"""Longest sleep of a replay with a stated speed [s]."""
 
 
 class Replay(Struct):
     """One replay of logs through an engine.
 
-    sink: takes the output frames. Without a sink they are not encoded. speed: None is as fast as
-    possible, 1.0 is real time.
+    sink: receives the output frames. Without a sink, output frames are not encoded. speed: 1.0
+    means real time; None means as fast as possible.
     """
 
     engine: Engine
@@ -45,7 +45,8 @@ class Replay(Struct):
         return self.summary()
 
     def chunks(self) -> Iterator[None]:
-        """Replay chunk by chunk: each item is a chunk of frames that the engine has taken."""
+        """Replay chunk by chunk. The iterator yields after each chunk of frames that the engine has
+        processed."""
         began = 0.0
         for chunk in self.reader:
             if not len(chunk):
@@ -63,9 +64,9 @@ class Replay(Struct):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Earliest and latest stamp of configured frames so far [s]; None without frames.
-
-        Pieces of a log may come in the wrong order, and clocks are set back.
+        """Earliest and latest time stamp of configured frames so far [s]; None without frames. The
+        first stamp need not be the earliest: parts of a log may be in the wrong order, and clocks
+        may be set back.
         """
         return self._span
 
@@ -76,7 +77,7 @@ class Replay(Struct):
         return 0.0 if self._first is None or start is None else max(self._first - start, 0.0)
 
     def summary(self) -> dict[str, Any]:
-        """Return the summary of the frames so far, as docs/json.md describes it."""
+        """Return the summary of the frames so far, with the keys in docs/json.md."""
         first, last = self._span or (0.0, 0.0)
         return summary(self.engine, self.counts(), last - first, self.lead)
 
@@ -86,7 +87,7 @@ class Replay(Struct):
             self.sink(out)
 
     def _feed_paced(self, chunk: FrameColumns, origin: float) -> None:
-        """Pass frames on when monotonic time reaches origin + t / speed."""
+        """Pass each frame to the engine when the monotonic time reaches origin + t / speed [s]."""
         due = origin + chunk.t / (self.speed or 1.0)
         start = 0
         while start < len(chunk):
@@ -99,9 +100,8 @@ class Replay(Struct):
                 time.sleep(min(max(float(due[start]) - now, 0.0), SLICE_S))
 
     def counts(self) -> RunCounts:
-        """Counts of frames so far.
-
-        Rejected frames are bad lines and frames that protection refused.
+        """Counts of frames so far. Bad lines of the log, and frames that the end-to-end protection
+        refused, count as rejected.
         """
         rejected = Counter(self.engine.router.rejected)
         rejected.update(self.reader.rejected)

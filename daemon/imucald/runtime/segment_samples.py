@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 
 
 class CorrectedSamples(Struct, frozen=True, eq=False):
-    """Samples of a sensor in vehicle axes, as sent, before rounding into frames.
+    """Samples of a sensor in vehicle axes, as they are sent, before they are rounded for the
+    frames.
 
-    t: (N,) stream time [s]. values: (N, 3) SI, NaN if there is no correction. row: (N,) rows of
-    the segment's frames. quality: (N,) as on the bus, 0 if values are NaN.
+    t: (N,) stream time [s]. values: (N, 3) SI, NaN if there is no correction. row: (N,) rows of the
+    segment's frames. quality: (N,) quality as in the output frames, 0 if the values are NaN.
     """
 
     t: NDArray[np.float64]
@@ -37,10 +38,10 @@ class SegmentSamples(Struct, frozen=True, eq=False):
     """The samples of a segment of a chunk of frames.
 
     stamps: (N,) recorded times of the segment's frames [s]; rows of samples are indices of these
-    frames. as_sensed: for each channel, samples as the sensors gave them, SI (see `core.samples`),
-    in sensor axes. rejected: for each channel, the rows whose sample was refused, before a model
-    changes any. corrected: returns samples for each channel of a corrected frame; they are computed
-    at the first call.
+    frames. as_sensed: for each channel, the uncorrected samples, SI (see `core.samples`), in sensor
+    axes. rejected: for each channel, the rows whose sample was rejected (without rejections by a
+    model file). corrected: function that returns the corrected samples of each channel; they are
+    computed at the first call.
     """
 
     segment: TimeSegment
@@ -59,8 +60,8 @@ def corrected_samples(
 ) -> dict[str, CorrectedSamples]:
     """Return corrected samples by channel; NaN if there is no correction.
 
-    ticks: (N,) ticks of the segment's frames. preprocessing: knowledge of a model about corrected
-    samples.
+    ticks: (N,) ticks of the segment's frames. preprocessing: removes the effects that a model file
+    states.
     """
     found = {c: routed.samples[c] for c in output.triads if c in routed.samples}
     tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}

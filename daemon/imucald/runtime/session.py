@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration; `databases` replace the ones that it names. Raises ConfigError."""
+    """Load a configuration. `databases` replace the databases that the configuration names. Raises
+    ConfigError."""
     loaded = load_config(path)
     if not databases:
         return loaded
@@ -86,7 +87,7 @@ def make_engine(
 
 
 def _consumers(loaded: LoadedConfig, output: OutputFrames, gyro_step: float) -> list[Consumer]:
-    """Return the consumers that run along with the calibration.
+    """Return the consumers of the configuration (such as the attitude).
 
     Raises ConfigError if an input is missing.
     """

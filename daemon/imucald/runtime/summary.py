@@ -1,4 +1,4 @@
-"""Result of a run as the JSON that tools rely on."""
+"""The result of a run as JSON with documented keys."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SENT = SentDeviations.__struct_fields__
 
 
 class RunCounts(Struct, frozen=True):
-    """Numbers of frames of a run: all that were read, used, and rejected by reason."""
+    """Numbers of frames of a run: all frames read, used frames, and rejected frames by reason."""
 
     read: int
     used: int
@@ -70,7 +70,8 @@ def _after(t: float | None, lead: float) -> float | None:
 
 
 def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
-    """Return angles, quaternion, deviations and covariance; None if there is none yet."""
+    """Return angles, quaternion, deviations and covariance of a mount. Each value is None before
+    there is an estimate."""
     angles, quaternion, std = estimate.angles, estimate.quaternion, estimate.std
     result: dict[str, Any] = {
         f"{name}_deg": None if angles is None else round(angles[i] * DEG_PER_RAD, 4)
@@ -94,9 +95,8 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
 
 
 def progress_dict(estimate: MountEstimate) -> dict[str, Any] | None:
-    """Return the gates as shares with the remaining driving.
-
-    None: driving does not lead to another state.
+    """Return the conditions (gates) for the next state, each with its progress (share) and the
+    remaining driving time. None if driving does not lead to another state.
     """
     progress = estimate.progress
     if progress is None:
@@ -113,11 +113,9 @@ def progress_dict(estimate: MountEstimate) -> dict[str, Any] | None:
 
 
 def correction_dict(estimate: MountEstimate) -> dict[str, Any] | None:
-    """Return matrices and offsets of both sensors, and the deviations that they leave.
-
-    None: there is no correction yet.
-
-    The values are as estimated; the applied correction follows them tick by tick.
+    """Return the correction: matrices and offsets of accelerometer and gyroscope, and the
+    deviations of the corrected samples. None before there is a correction. The values are those of
+    the estimate; the applied correction follows the estimate in small steps from tick to tick.
     """
     found, sent = estimate.correction, estimate.sent
     if found is None:
@@ -143,7 +141,8 @@ def _degrees(std: float | None) -> float | None:
 
 
 def _for_people(estimate: MountEstimate) -> dict[str, Any]:
-    """Return how the sensor sits in words, and the limits for the deviations."""
+    """Return texts about the mount position of the sensor, the judged deviations, and the limits of
+    these deviations."""
     found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
     found["mirrored"] = mirror_note(estimate)
     judged = estimate.judged_std
@@ -159,9 +158,8 @@ def _for_people(estimate: MountEstimate) -> dict[str, Any]:
 
 
 def plain(value: object, digits: int | None = 6) -> Any:
-    """Return details as JSON can carry them: plain numbers, text, lists, mappings.
-
-    Values that are not finite become null.
+    """Convert details to types that JSON can represent: numbers, texts, lists, mappings. Values
+    that are not finite become null.
 
     digits: number of decimals; None for all.
     """
@@ -178,5 +176,5 @@ def plain(value: object, digits: int | None = 6) -> Any:
 
 
 def as_json(result: Mapping[str, Any]) -> str:
-    """Return the JSON text of a summary; no NaN, UTF-8, two spaces."""
+    """Return a summary as JSON text: UTF-8, indented by two spaces, without NaN."""
     return json_text(result, indent=2) + "\n"

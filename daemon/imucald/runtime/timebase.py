@@ -1,14 +1,15 @@
 """Convert recorded or received time stamps to stream time: seconds from the first configured frame,
-never backwards.
+never decreasing.
 
-Stamps are wall-clock times. The stamps may be slightly out of order, stand still, or step when a
-person sets the clock. Small disorder is flattened. A step (or a long hole) begins a new segment at
-the next tick, and all parts that difference over time are informed. A hole lasts at most
-`FORWARD_STEP` of stream time. A live bus has no disorder, so a small step back is seen as well, and
-stream time continues. A jump forward to stamps that were reached before is not a hole: a shuffled
-log takes one tick for each of its jumps, not the hundred of a hole. All holes together last at most
-`HOLE_SHARE` times as long as the time between them. Stamps that jump ahead at every frame therefore
-do not take hours.
+Time stamps are wall-clock times. They may be slightly out of order, stand still, or jump when a
+person sets the clock. In a slightly disordered log, stream time stands still until the stamps
+increase again. A jump or a long hole begins a new segment at the next tick, and all parts that
+compare values over time are informed. A hole lasts at most `FORWARD_STEP` of stream time. The
+stamps of a live bus are in order, so a small step back is detected too, and stream time continues.
+A jump forward to stamps that were already reached is not a hole: in a shuffled log, such a jump
+takes one tick, while a hole takes a hundred ticks. All holes together last at most `HOLE_SHARE`
+times as long as the time between the holes. A log whose stamps jump forward at every frame
+therefore does not need hours of computing.
 """
 
 from __future__ import annotations
@@ -23,31 +24,33 @@ from numpy.typing import NDArray
 from imucald.motion.ticks import TICK_RATE
 
 BACKWARD_STEP = 1.0
-"""A stamp that is older than the newest by more than this is a clock step, not disorder [s]."""
+"""A stamp is a clock step, not disorder, if it is older than the newest stamp by more than this
+[s]."""
 FORWARD_STEP = 10.0
-"""A stamp that is newer by more than this is a clock step or a hole: nothing is carried across it
-[s]. Among stamps that were reached before, one that is newer by more than `BACKWARD_STEP` is a
-step.
+"""A stamp is a clock step or a hole if it is newer than the newest stamp by more than this [s].
+Values before and after it are not combined. For a stamp that is not later than all earlier
+segments, the limit is `BACKWARD_STEP`.
 """
 
 SET_BACK = 0.05
 """Largest disorder on a live bus [s].
 
-If all stamps for this long are further behind, the clock was set back. A step of more than
-`BACKWARD_STEP` is seen at the first stamp.
+If all stamps during this time are further behind stream time, the clock was set back. A step of
+more than `BACKWARD_STEP` is detected at the first stamp.
 """
 
 FIRST_LOOK = 256
-"""Stamps that are searched for a step at first, so that a log with a step in each row takes no more
-than its length."""
+"""Number of stamps in the first search for a step. The number is small, so that the computing time
+for a log with a step in each row is proportional to its length."""
 
 HOLE_SHARE = 10.0
-"""After the first hole, each whole hole needs a second of frames: more holes are no drive."""
+"""Longest duration of all holes together after the first hole, divided by the time with frames. One
+second of frames therefore allows one hole of `FORWARD_STEP`. More holes do not occur in a drive."""
 
 
 class TimeSegment(Struct, frozen=True):
-    """Rows [start, stop) of a chunk with their stream times; `gap`: whether a new segment begins
-    here.
+    """Rows [start, stop) of a chunk. t: stream times of the rows [s]. gap: True if a new segment
+    begins at `start`.
     """
 
     start: int
@@ -57,14 +60,16 @@ class TimeSegment(Struct, frozen=True):
 
 
 class TimeBase:
-    """Keeps the offset between stamps and stream time. Scalar and column calls may be mixed."""
+    """Converts stamps to stream time, one by one or in columns. Both kinds of calls may be
+    mixed."""
 
     def __init__(self) -> None:
         self.steps = 0
         """Number of discontinuities."""
         self.started = False
         self.is_live = False
-        """True if single stamps come from a live bus: from one clock, in the order received."""
+        """True if the single stamps are from a live bus: from one clock, in the order of
+        reception."""
         self._offset = 0.0
         self._newest = -math.inf  # stamp
         self._highest = -math.inf  # stamp, of all segments
@@ -75,11 +80,11 @@ class TimeBase:
 
     @property
     def now(self) -> float:
-        """Stream time of the newest stamp [s]."""
+        """Present stream time [s]."""
         return self._now
 
     def stream_time(self, stamp: float) -> tuple[float, bool]:
-        """Return (stream time [s], whether a new segment begins)."""
+        """Convert one stamp. Return the stream time [s], and whether a new segment begins."""
         if not self.started:
             self.started = True
             self._offset, self._newest = stamp, stamp
@@ -101,18 +106,19 @@ class TimeBase:
         return not -BACKWARD_STEP <= stamp - self._newest <= limit or self._is_overtaken(stamp)
 
     def _is_overtaken(self, stamp: float) -> bool:
-        """Return whether `idle` has passed this stamp: the clock was set back during a silence.
+        """Return whether a stamp is behind the stream time that `idle` has reached, because the
+        clock was set back during a silence.
 
-        Compared with the newest stamp alone, it may look like a clock that went on, or like
-        disorder. Stream time would then stand still until the stamps have caught up.
+        A comparison with the newest stamp alone may not show the step back. Stream time would then
+        stand still until the stamps have reached it.
         """
         return self._now > self._frame and stamp - self._offset < self._now - BACKWARD_STEP
 
     def _take_behind(self, stamp: float) -> None:
-        """Take a stamp of a live bus that is behind stream time by less than a step.
+        """Process a stamp of a live bus that is behind stream time by less than a step.
 
-        If it is not the only one, the clock was set back and the samples continue. Stream time then
-        also continues, from where it stood still.
+        If several successive stamps are behind, the clock was set back. Stream time then continues
+        from the value at which it stood still.
         """
         first = self._behind
         if first is None or stamp < first:
@@ -123,7 +129,7 @@ class TimeBase:
             self._newest, self._offset, self._behind = stamp, first - self._now, None
 
     def idle(self, elapsed: float) -> float:
-        """Let time pass without a stamp; return stream time [s].
+        """Advance stream time without a stamp. Return stream time [s].
 
         elapsed: time since the newest stamp [s], by a clock that does not step.
         """
@@ -131,7 +137,8 @@ class TimeBase:
         return self._now
 
     def segments(self, stamps: NDArray[np.float64]) -> Iterator[TimeSegment]:
-        """Split a column of stamps (N,) into segments without discontinuity, with stream times."""
+        """Split a column of stamps (N,) into segments without a step or hole. Yield each segment
+        with its stream times."""
         start, n = 0, len(stamps)
         while start < n:
             _, gap = self.stream_time(float(stamps[start]))
@@ -140,7 +147,8 @@ class TimeBase:
             start += len(t)
 
     def _times(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the stream times of stamps up to the next step; the first was just taken."""
+        """Return the stream times of the stamps before the next step. The first stamp was already
+        processed by `stream_time`."""
         size, is_step = FIRST_LOOK, np.zeros(0, bool)
         while not is_step.any() and len(is_step) + 1 < len(stamps):
             newest = np.maximum.accumulate(np.append(self._newest, stamps[1:size]))

@@ -1,1 +1,1 @@
-"""The running service: wiring of bus, pipeline and status."""
+"""The service that `imucald run` starts: it connects bus, pipeline, saved state and status."""

@@ -1,4 +1,4 @@
-"""Log lines that the service writes by itself: states, link, alarms, the model, rejections."""
+"""Log lines of the service about states, link, alarms, the model file and rejected frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.service.journal import INFO, NOTICE, WARNING, Journal
 
 _QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full", "rejected"})
-"""Kinds of link events that are not warnings, or that the link itself reports seldom."""
+"""Kinds of link events that are logged with priority INFO. "up" is not a warning, and the link
+reports the other kinds at a limited rate."""
 
 
 def say_idle_keys(loaded: LoadedConfig, journal: Journal) -> None:
@@ -28,11 +29,12 @@ def say_idle_keys(loaded: LoadedConfig, journal: Journal) -> None:
 
 _STATES = frozenset(str(state) for state in LinkState)
 BUS_BURST = 20
-"""Number of lines about the bus that are written at once; later lines are written seldom."""
+"""Number of lines about the bus that are written without a limit; later lines are written at a
+limited rate."""
 
 
 class Announcements:
-    """Writes each change once into a journal."""
+    """Writes one log line for each change of the service."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
@@ -74,8 +76,9 @@ class Announcements:
         self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def update(self, engine: Engine, late: int, uptime: float) -> None:
-        """Log alarms, rejections, late frames and failed calculations, once a second. uptime:
-        [s].
+        """Log alarms, rejections, late frames and failed calculations; called once a second.
+
+        late: number of late frames so far. uptime: uptime of the process [s].
         """
         self._alarms.update(asdict(engine.health()), uptime)
         event = self._untold_event
@@ -100,18 +103,21 @@ class Announcements:
 
 
 START_S = 2.0
-"""Time from the start of a run [s] before which no input is missing."""
+"""During this time after the start of a run [s], no input is reported as missing."""
 
 
 class AlarmWatch:
-    """Checks the health once a second."""
+    """Logs a line when a health flag changes; checks the flags once a second."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
         self._on: set[str] = set()
 
     def update(self, health: Mapping[str, object], uptime: float) -> None:
-        """health: flags by the names of `Health`. uptime: uptime of the process [s]."""
+        """Check the flags.
+
+        health: flags by the names of `Health`. uptime: uptime of the process [s].
+        """
         if uptime < START_S:
             return
         now = set(alarms_of(health)) - PASSING

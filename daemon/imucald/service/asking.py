@@ -1,4 +1,5 @@
-"""Path of a daemon's status socket, and one request to it: one line out, the whole answer back."""
+"""The path of a daemon's status socket, and a request to this socket: one line is sent, the whole
+answer is read."""
 
 from __future__ import annotations
 
@@ -16,17 +17,18 @@ from imucald.core.errors import LinkError
 RUNNING = Path("/run/imucald")
 """Folder with one subfolder for each daemon of systemd or root."""
 RETRY_S = 0.02
-"""Pause before another try when the queue of clients is full [s]; the daemon serves it every
-0.1 s.
+"""Pause before the next attempt when the queue of clients is full [s]. The daemon serves the queue
+every 0.1 s.
 """
 MOST_BYTES = 1 << 23
-"""Longest answer [bytes]: several times a history of half an hour."""
+"""Longest accepted answer [bytes]: several times the size of a history of half an hour."""
 
 
 def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:
     """Return the path of the status socket, or None if there is no folder for it.
 
-    Root has one even if its environment names none, as in a container, under sudo or cron.
+    For root there is always a folder, even if the environment does not name one (in a container,
+    under sudo or cron).
     """
     environment = os.environ if environment is None else environment
     if folder := environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]:
@@ -37,14 +39,12 @@ def default_socket(channel: str, environment: Mapping[str, str] | None = None) -
 
 
 def running_socket(channel: str) -> Path:
-    """Return the status socket of systemd's or root's daemon of a channel."""
+    """Return the path of the status socket of a daemon that systemd or root runs on a channel."""
     return RUNNING / _in_one_name(channel) / "status.sock"
 
 
 def _in_one_name(channel: str) -> str:
-    """Return a channel such as /dev/ttyACM0 as a single name, without parts that would name other
-    folders.
-    """
+    """Return the name of a channel such as /dev/ttyACM0 as one file name without folders."""
     return channel.strip("/.").replace("/", "-")
 
 
@@ -56,7 +56,7 @@ KINDS: Mapping[str, Mapping[str, type]] = {
 
 
 def content(path: Path, request: str, answer: str) -> dict[str, Any]:
-    """Return the content of an answer in JSON. Raises LinkError if it is not one of imucald."""
+    """Return the content of a JSON answer. Raises LinkError if the answer is not from imucald."""
     try:
         found = json.loads(answer)
     except (ValueError, RecursionError):
@@ -69,8 +69,8 @@ def content(path: Path, request: str, answer: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def understood(path: Path | None) -> Iterator[None]:
-    """Raise LinkError if an answer that is read inside lacks a key or has a value of another
-    type.
+    """Context for reading an answer. Raises LinkError if a key of the answer is missing or a value
+    has a wrong type.
     """
     try:
         yield
@@ -86,14 +86,14 @@ def _foreign(path: Path | None, why: str = "") -> LinkError:
 
 
 class BusyError(LinkError):
-    """A daemon has the socket but did not answer in time."""
+    """A daemon listens on the socket but did not answer in time."""
 
 
 def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = True) -> str:
-    """Ask a running daemon. Raises LinkError with the remedy if none has the socket.
+    """Send a request to a running daemon, and return the answer. Raises LinkError with the remedy
+    if no daemon listens on the socket. Raises BusyError if a daemon listens but does not answer.
 
-    is_repeatable: ask again if the daemon refused the connection, until `timeout` [s]. Raises
-    BusyError if a daemon has the socket and does not answer.
+    is_repeatable: send the request again if the daemon refused the connection, until `timeout` [s].
     """
     end = time.monotonic() + timeout
     while True:
@@ -122,9 +122,8 @@ def _busy(path: Path) -> BusyError:
 
 
 def _answer(connection: socket.socket, path: Path, request: str, timeout: float) -> bytes:
-    """Return the daemon's answer; empty if it refused the connection, or did not end in time.
-
-    Raises LinkError if the answer is longer than any of a daemon.
+    """Return the daemon's answer; empty if the daemon refused the connection, or if the answer was
+    not complete in time. Raises LinkError if the answer is longer than `MOST_BYTES`.
     """
     found, end = bytearray(), time.monotonic() + timeout
     try:

@@ -1,7 +1,7 @@
-"""The only thread that writes: the loop passes it the data to save, and never waits for a disk.
+"""A thread that writes saved data, so that the main loop never waits for a disk.
 
-No exception of a save ends the thread. A failure is counted and kept for the status. The save is
-tried again until it succeeds or newer data replace it.
+No exception of a save ends the thread. A failure is counted and shown in the status. The save is
+tried again until it succeeds or newer data replace the content.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Content = TypeVar("Content")
 
 
 class StateWriter(Generic[Content]):
-    """A thread that saves the newest content it was given; the first content starts it.
+    """A thread that saves the newest content passed to `put`. The first content starts the thread.
 
     save: function that writes a content; it may raise any exception. title: name of the content in
-    the log, as in "the state". say: function that takes log lines (see `report`). retry: see
+    the log, such as "the state". say: function that takes log lines (see `report`). retry: see
     `RETRY_S`.
     """
 
@@ -35,7 +35,7 @@ class StateWriter(Generic[Content]):
         self.saves = 0
         self.failures = 0
         self.last_error = ""
-        """Reason why the last attempt failed; empty if it succeeded."""
+        """Reason why the last attempt to save failed; empty if the attempt succeeded."""
         self._save = save
         self._title = title
         self._say = say
@@ -50,7 +50,7 @@ class StateWriter(Generic[Content]):
         self._reported = ""
 
     def put(self, content: Content) -> None:
-        """Request that this is saved soon; it replaces content that still waits.
+        """Request that `content` is saved soon. Content that still waits is replaced.
 
         The call never waits for the disk.
         """
@@ -68,7 +68,7 @@ class StateWriter(Generic[Content]):
                 self._thread = thread
 
     def flush(self, limit: float) -> bool:
-        """Write the waiting content at once, for at most `limit` [s]; return whether all is
+        """Write the waiting content at once, for at most `limit` [s]. Return whether all content is
         written.
         """
         with self._changed:
@@ -85,8 +85,8 @@ class StateWriter(Generic[Content]):
             self._changed.notify_all()
 
     def close(self, limit: float) -> bool:
-        """Write the waiting content and end the thread, within `limit` [s]; return whether all is
-        written.
+        """Write the waiting content and end the thread, within `limit` [s]. Return whether all
+        content is written.
         """
         done = self.flush(limit)
         with self._changed:
@@ -95,7 +95,8 @@ class StateWriter(Generic[Content]):
         return done
 
     def report(self) -> None:
-        """Log once that saving fails, and once that it works again; called by the loop."""
+        """Log once that saving fails, and once that saving works again. The main loop calls
+        this."""
         error = self.last_error
         if error != self._reported:
             self._reported = error
@@ -103,7 +104,7 @@ class StateWriter(Generic[Content]):
             self._say(text if error else f"{self._title} can be saved again", WARNING)
 
     def status(self) -> dict[str, Any]:
-        """Return saves, failures, and the last error, for the status."""
+        """Return the number of saves, the number of failures and the last error, for the status."""
         return {"saves": self.saves, "failures": self.failures, "last_error": self.last_error}
 
     def _is_due(self) -> bool:

@@ -1,7 +1,7 @@
-"""Keeps the calibration across restarts: decides when it is saved, and which saved parts are used.
+"""Saved calibration: decide when it is saved, and which saved parts are used at a start.
 
-A disk may take seconds to confirm a write, and the loop must not wait for it: see
-`background_writer`.
+A disk may take seconds to confirm a write. The main loop must not wait for this, so a thread writes
+(`background_writer`).
 """
 
 from __future__ import annotations
@@ -31,24 +31,26 @@ from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.saved_state import SavedState, StateStore
 
 SAVE_PERIOD_S = 10.0
-"""Period between saves of a changing estimate [s]: a power cut loses at most this much."""
+"""Period between saves of a changing estimate [s]. A power cut loses at most the estimates of one
+period."""
 SAME_ANGLE = math.radians(0.002)
-"""An estimate that has changed by less than this angle [rad] ..."""
+"""An estimate is not saved again if it has changed by less than this angle [rad] and its variances
+have changed by less than `SAME_VARIANCE`."""
 SAME_VARIANCE = 0.01
-"""... and whose variances have changed by less than this share is not saved again."""
+"""Largest relative change of a variance that is not saved (see `SAME_ANGLE`)."""
 SHIFTS_KEPT = 32
-"""Remounts that are stored."""
+"""Largest number of remounts of the sensor that are stored."""
 STOP_WAIT_S = 0.6
-"""Longest wait for the disk at a stop [s]; a stop has one second in all."""
+"""Longest wait for the disk when the daemon stops [s]. A stop may take one second in total."""
 
 BACK_AFTER_START = (
     "imucald tries again until it succeeds; a restart before then would bring the old state back"
 )
-"""Text for a reset that the disk does not take."""
+"""Text for a reset that cannot be written to the disk."""
 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
 SENSOR = "sensor"
-"""Key of the knowledge about the sensor itself in a saved state's evidence."""
+"""Key of the properties of the sensor itself in the evidence of a saved state."""
 _EVIDENCE: tuple[str, ...] = (
     "evidence_std_deg",
     "evidence_share",
@@ -59,7 +61,7 @@ _EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
 
 
 SENSOR_CHECK = "sensor_check"
-"""Key of a sensor check among the saved offsets."""
+"""Key of the sensor check's result in the saved offsets."""
 
 
 class CalibrationStore:
@@ -81,10 +83,10 @@ class CalibrationStore:
         title = f"the state in {store.folder}"
         self.writer = StateWriter[tuple[int, SavedState | None]](self._write, title, say)
         self.problems: tuple[str, ...] = ()
-        """Parts of the saved state that were not valid at the start."""
+        """Texts about parts of the saved state that were not valid at the start."""
         self.restored = False
         self.sensor_check: Callable[[], Mapping[str, Any] | None] = lambda: None
-        """Function that returns the sensor check to save with the mount; None: nothing."""
+        """Function that returns the result of the sensor check to save with the mount, or None."""
         self._say = say
         self._period = period
         self._clock, self._wall = clock, wall
@@ -96,7 +98,8 @@ class CalibrationStore:
         self._is_forgetting = False  # a reset that the disk did not take at once
 
     def _write(self, content: tuple[int, SavedState | None]) -> None:
-        """Save a state of an era. None: force to the disk that all earlier states are forgotten."""
+        """Save a state; content: era and state. If the state is None, force the renames of
+        forgotten files to the disk instead."""
         era, state = content
         failure: OSError | None = None
         try:
@@ -111,9 +114,9 @@ class CalibrationStore:
             raise failure  # so that it is tried again
 
     def restore(self, estimator: MountEstimator) -> MountEstimator:
-        """Return the estimator with the saved mount in front of it, or unchanged.
-
-        A mount that the configuration holds takes precedence over all that was saved.
+        """Return an estimator that starts with the saved mount. Return `estimator` unchanged if no
+        saved mount is used. A mount that the configuration holds takes precedence over the saved
+        mount.
         """
         is_held = isinstance(estimator, RestoredEstimator) and estimator.is_held
         if is_held:
@@ -149,7 +152,8 @@ class CalibrationStore:
         return restored
 
     def _sensor(self, saved: SavedState) -> KnownSensor | None:
-        """Return the saved data of the sensor itself; without them the mount can still be used."""
+        """Return the saved properties of the sensor itself; None if they are missing or invalid.
+        The saved mount can be used without them."""
         kept = saved.evidence.get(SENSOR)
         if kept is None:
             return None
@@ -163,7 +167,7 @@ class CalibrationStore:
 
     @property
     def saved_check(self) -> object:
-        """The sensor check of the restored state, as saved; None: there is none."""
+        """The result of the sensor check in the restored state; None if there is no result."""
         return self._last.offsets.get(SENSOR_CHECK) if self._known else None
 
     @property
@@ -172,7 +176,7 @@ class CalibrationStore:
         return check is not None and check != self.saved_check
 
     def update(self, estimator: MountEstimator, driven_s: float) -> None:
-        """Take the present estimate and save it if it is due.
+        """Save the present estimate if a save is due.
 
         driven_s: driving time since the start [s].
         """
@@ -230,8 +234,8 @@ class CalibrationStore:
         return is_same and not self.writer.last_error
 
     def _is_saved(self, state: SavedState) -> bool:
-        """Return whether nearly the same state was saved: a vehicle that stands does not wear out
-        the memory.
+        """Return whether the state is nearly equal to the saved state. Equal states are not saved
+        again, so that a standing vehicle does not wear out the memory.
         """
         if not self._known or self.writer.last_error:
             return False
@@ -246,10 +250,10 @@ class CalibrationStore:
     def forget(self) -> str:
         """Forget the saved state: its files are renamed and not loaded again.
 
-        The call does not wait for the disk. A file that is being written now never gets its name,
-        and the writing thread forces the new names to the disk. Returns why the disk does not take
-        it now, empty if it does. The thread tries again until it succeeds, or until a newer state
-        replaces it.
+        The call does not wait for the disk. A file that is being written now is never renamed to
+        its final name. The writing thread forces the renames to the disk. Returns the reason if the
+        disk refuses the renames now, else an empty text. The thread tries again until the renames
+        succeed or a newer state is saved.
         """
         self.writer.discard()
         self._known = False
@@ -264,9 +268,9 @@ class CalibrationStore:
         return reason
 
     def save_order(self, estimator: MountEstimator, driven_s: float) -> str:
-        """Save the present mount at once, in any state, because a person ordered it.
-
-        Returns why the disk does not take it now, empty if it does; the save is tried again.
+        """Save the present mount at once, in any state, because a person ordered the save. Returns
+        the reason if the disk cannot be written now, else an empty text. A failed save is tried
+        again.
         """
         stored = mount_in_force(estimator)
         state = None
@@ -280,18 +284,19 @@ class CalibrationStore:
         return self.store.why_not_writable()
 
     def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
-        """Save the last estimate; wait for the disk, but not for long."""
+        """Save the last estimate, and wait for the disk for at most `STOP_WAIT_S`."""
         if self._wanted(estimator.state, changed=True):
             self._save(estimator, self._driven_before + driven_s)
         self.writer.flush(STOP_WAIT_S)
 
     def end(self) -> None:
-        """Save nothing more; writes in progress are finished."""
+        """End saving. A write in progress is finished."""
         self.writer.close(0.0)
         self._report_not_forgotten()
 
     def close(self, estimator: MountEstimator, driven_s: float) -> None:
-        """Save the last estimate and end; wait for the disk, but not for long."""
+        """Save the last estimate and end saving. The wait for the disk is limited
+        (`STOP_WAIT_S`)."""
         self.save_now(estimator, driven_s)
         if not self.writer.close(STOP_WAIT_S) and self.store.is_forgotten:
             self._say(
@@ -302,7 +307,7 @@ class CalibrationStore:
         self.writer.report()
 
     def _report_not_forgotten(self) -> None:
-        """Log at the end that a reset did not reach the disk."""
+        """Log a warning at the end if a reset was not written to the disk."""
         if not self.store.is_forgotten:
             text = f"the state that was reset could not be removed from {self.store.folder}"
             self._say(f"{text}: the next start restores this state; reset again after it", WARNING)
@@ -321,7 +326,8 @@ class CalibrationStore:
 
 
 def stored_mount(saved: SavedState, sensor: KnownSensor | None = None) -> StoredMount:
-    """Return a saved state as the estimator takes it, with its sensor."""
+    """Convert a saved state to the form that the estimator uses. sensor: saved properties of the
+    sensor."""
     R = np.array(saved.rotation).reshape(3, 3)
     applied = None if sensor is None or saved.given else sensor.correction(R)
     return StoredMount(
@@ -346,8 +352,8 @@ def saved_state(
 ) -> SavedState | None:
     """Return the saved form of an estimator's estimate; None if it cannot be saved.
 
-    stored: the mount to save, if it is not the estimate's. A held mount is saved as it was at the
-    beginning of the hold, so it does not become less certain.
+    stored: the mount to save instead of the estimated mount. A held mount is saved with its values
+    at the beginning of the hold, so its uncertainty does not grow.
     """
     estimate, sensor = estimator.estimate(), known_sensor(estimator)
     in_front = estimator if isinstance(estimator, RestoredEstimator) else None

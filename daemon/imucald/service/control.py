@@ -25,15 +25,15 @@ from imucald.service.line_server import ROOT, LineServer, Peer
 
 OWNER_ONLY = 0o600
 BURST = 5
-"""Largest number of requests at once, ..."""
+"""Largest number of requests that are accepted without a pause; afterwards one per `PERIOD_S`."""
 PERIOD_S = 1.0
-"""... then one in this time [s]: a person types no faster, and each request makes a new
-estimator.
+"""Shortest time between requests after a burst [s]. A person does not type faster, and each request
+creates a new estimator.
 """
 
 
 class Order(Struct, forbid_unknown_fields=True, tag_field="order"):
-    """sudo_user: user who became root to give the order, according to sudo."""
+    """An order. sudo_user: the user who gave the order as root with sudo."""
 
     sudo_user: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]{1,32}$")] | None = None
 
@@ -43,15 +43,15 @@ class ResetOrder(Order, tag="reset"):
 
 
 class HoldOrder(Order, tag="hold"):
-    """Keep the mount and learn nothing."""
+    """Hold the present mount; the estimator does not change it."""
 
 
 class ReleaseOrder(Order, tag="release"):
-    """Learn again."""
+    """End the hold; the mount is estimated again."""
 
 
 class SetMountOrder(Order, tag="set-mount"):
-    """Use a known mount."""
+    """Use the mount that is stated in the order."""
 
     mount: KnownMount | None = None
 
@@ -60,7 +60,7 @@ _DECODER = Decoder(ResetOrder | HoldOrder | ReleaseOrder | SetMountOrder)
 
 
 class ControlServer(LineServer):
-    """Takes orders on a Unix socket that only its owner and root may open.
+    """Receives orders on a Unix socket that only its owner and root may open.
 
     Raises LinkError when the socket cannot be made.
     """
@@ -123,7 +123,8 @@ class ControlServer(LineServer):
 
 
 def _name(peer: Peer, sudo_user: str | None = None) -> str:
-    """Return who asks. Names of users are not looked up, because that may ask a remote server."""
+    """Return a name for the person who gave an order. Names of users are not looked up, because a
+    look-up may contact a remote server."""
     user = "root" if peer.uid == ROOT else f"user {peer.uid}"
     behind = f", for {sudo_user}" if sudo_user else ""
     return f"{user} (pid {peer.pid}{behind})"

@@ -1,4 +1,4 @@
-"""Prometheus text of one daemon or of several: how it is requested and merged.
+"""Request the Prometheus texts of daemons, and merge several texts into one.
 
 This module does not import numpy.
 """
@@ -16,7 +16,7 @@ from imucald.service.asking import ask
 UP = "imucald_up"
 _BUS = re.compile(r'[{,]bus="((?:[^"\\]|\\.)*)"')
 ASK_S = 2.0
-"""Time that a daemon has to answer [s]."""
+"""Longest time in which a daemon must answer [s]."""
 
 
 def bus_of(socket: Path) -> str:
@@ -27,7 +27,8 @@ def bus_of(socket: Path) -> str:
 
 
 def gathered(sockets: Iterable[Path]) -> str:
-    """Return the metrics of all daemons behind these sockets, and which of them answer."""
+    """Return the merged metrics of the daemons that own these sockets. A metric states for each
+    daemon whether it answers."""
     texts, answers = [], {}
     for path in sockets:
         try:
@@ -52,7 +53,7 @@ def _up(answers: Mapping[str, int]) -> str:
 
 
 def merged(texts: Iterable[str]) -> str:
-    """Return several texts as one: each metric family appears once, with the lines of all texts."""
+    """Merge several texts: each metric family appears once, with the lines of all texts."""
     heads: dict[str, str] = {}
     lines: dict[str, list[str]] = {}
     for text in texts:

@@ -19,9 +19,10 @@ class FolderInUseError(ImucaldError):
 class FolderLock:
     """Locks a folder until `release`, or until the process ends in any way.
 
-    The folder itself is locked, which also works for a read-only folder. A file in it is locked
-    too: it names the holder, and serves where a file system cannot lock folders. Raises
-    FolderInUseError with the holder's pid. Raises OSError if neither can be locked.
+    The folder itself is locked, which also works for a read-only folder. A file in the folder is
+    locked too. The file contains the process id of the holder, and it replaces the folder's lock on
+    file systems that cannot lock folders. Raises FolderInUseError with this process id. Raises
+    OSError if neither the folder nor the file can be locked.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -71,9 +72,9 @@ class FolderLock:
         )
 
     def renew(self) -> bool:
-        """Lock again if another folder now has the name; return whether that was so.
-
-        Raises as the constructor does, and FolderInUseError if another process was faster.
+        """Lock again if another folder now has the same path. Return whether this was necessary.
+        Raises the errors of the constructor; FolderInUseError means that another process was
+        faster.
         """
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(self._path.stat(), os.fstat(self._folder)):
@@ -84,7 +85,7 @@ class FolderLock:
         return True
 
     def release(self) -> None:
-        """Release the folder for others."""
+        """Release the lock of the folder."""
         for descriptor in (self._folder, *self._held):
             os.close(descriptor)
         self._held = []

@@ -1,4 +1,4 @@
-"""Owner of a saved state: the vehicle as configured, and the sensor as defined by its signals."""
+"""The owner of a saved state: the configured vehicle, and the sensor as defined by its signals."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from imucald.inputs.routes import MessageRoute
 from imucald.service.saved_state import StateKey
 
 _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
-"""Keys of a source that change its numbers."""
+"""Keys of a configured source that change the values of its signal."""
 
 
 def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey:
-    """Return the key of a configuration's state.
-
-    Only settings that turn the accelerometer's axes or select another sensor count. They are its
-    sources with identifiers, layout, units and signs, the signal effects that a model file removes
-    (`model`, see `Engine.model_key`), and the mount that the configuration states. Ids of outputs,
-    speed sources and limits do not count.
+    """Return the key of the saved state that belongs to a configuration. The key contains only
+    settings that turn the accelerometer's axes or select another sensor. These settings are the
+    accelerometer's sources with identifiers, layout, units and signs, the signal effects that a
+    model file removes (`model`, see `Engine.model_key`), and the mount that the configuration
+    states. Ids of outputs, speed sources and limits are not in the key.
     """
     described = _triads(loaded.config.signals.accelerometer, router)
     text = json.dumps(described, sort_keys=True, default=str) + model
@@ -42,7 +41,7 @@ def _triads(triads: Sequence[TriadSettings], router: Router) -> list[list[dict[s
 
 
 def _described(source: SourceSettings, router: Router) -> dict[str, Any]:
-    """Return everything that decides which number a source gives."""
+    """Return all properties of a source that determine the values of its signal."""
     found: dict[str, Any] = {
         "configured": {k: v for k, v in to_builtins(source).items() if k in _DECISIVE}
     }
@@ -57,7 +56,8 @@ def _described(source: SourceSettings, router: Router) -> dict[str, Any]:
 
 
 def _found(path: str | None, router: Router) -> Iterator[tuple[Message, Signal]]:
-    """Yield the signal of a path, and its message, once for each route that reads the message."""
+    """Yield message and signal of the path ``MESSAGE.SIGNAL``, once for each route that reads the
+    message."""
     name, _, signal = (path or "").partition(".")
     for route in router.routes:
         if isinstance(route, MessageRoute) and route.name == name:

@@ -1,4 +1,5 @@
-"""Lines for the log, with syslog priorities if the journal reads them, and never in floods."""
+"""Log lines of the daemon, at a limited rate. If journald reads them, each line begins with its
+syslog priority."""
 
 from __future__ import annotations
 
@@ -20,15 +21,15 @@ ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
 PRIORITIES = {word: priority for priority, word in LEVELS.items()}
 EVENTS_KEPT = 200
-"""Lines that `imucald events` shows; the journal has all lines."""
+"""Number of log lines that `imucald events` shows. The system's journal contains all lines."""
 SELDOM_S = 30.0
-"""Shortest time between lines of one kind that may come without end [s]."""
+"""Shortest time between two lines of a kind that may repeat without end [s]."""
 LINE_BYTES = 4000
 """Lines are cut to this length, because any pipe accepts 4096 bytes at once."""
 
 
 class LogEvent(NamedTuple):
-    """at: wall clock [s]. level: "error", "warning", "notice" or "info"."""
+    """One log line. at: wall clock [s]. level: "error", "warning", "notice" or "info"."""
 
     at: float
     level: str
@@ -41,7 +42,7 @@ class Journal:
     A log that cannot be written neither stops nor delays the program.
 
     stream: None for standard error, which may be closed. A line that cannot be written at once is
-    dropped and counted. The next written line states how many were dropped. level: the least
+    dropped and counted. The next written line states the number of dropped lines. level: the least
     important priority that is written; `events` stores all lines.
     """
 
@@ -54,7 +55,7 @@ class Journal:
         level: int = INFO,
     ) -> None:
         self.events: deque[LogEvent] = deque(maxlen=EVENTS_KEPT)
-        """The last lines, oldest first."""
+        """The newest log lines; the oldest of them is first."""
         self._wall = wall
         self.dropped = 0
         """Number of lines that could not be written."""
@@ -83,7 +84,8 @@ class Journal:
             self._untold += 1
 
     def _write(self, line: str, priority: int) -> bool:
-        """Write a line if this is possible at once; return whether it was written."""
+        """Write a line if it can be written without waiting. Return whether the line was
+        written."""
         head = f"<{priority}>" if self._to_journal else "imucald: "
         try:
             if self._file is not None:
@@ -98,10 +100,8 @@ class Journal:
         return True
 
     def seldom(self, kind: str, text: str, priority: int = WARNING, burst: int = 1) -> bool:
-        """Write a line unless `burst` lines of its kind came lately; the next line states how many
-        were left out.
-
-        Returns whether it was written.
+        """Write a line unless `burst` lines of its kind were written within `SELDOM_S`. The next
+        line of the kind states the number of omitted lines. Return whether the line was written.
         """
         due, untold = self._due.get(kind, (-math.inf, 0))
         now = self._clock()
@@ -129,7 +129,8 @@ def _descriptor(stream: TextIO | None) -> int | None:
 
 
 def _written_at_once(file: int, data: bytes) -> bool:
-    """Write without ever waiting for the reader; return whether it was written.
+    """Write the data without waiting for the reader of the file. Return whether the data were
+    written.
 
     Other processes may share the file, so it cannot be set to non-blocking.
     """
@@ -144,7 +145,7 @@ def _written_at_once(file: int, data: bytes) -> bool:
 
 
 def _is_journal(stream: TextIO | None, environment: Mapping[str, str]) -> bool:
-    """Return whether the stream goes to journald, by the method of systemd.exec(5)."""
+    """Return whether the stream is connected to journald (method: systemd.exec(5))."""
     named = environment.get("JOURNAL_STREAM", "")
     try:
         found = os.fstat(-1 if stream is None else stream.fileno())

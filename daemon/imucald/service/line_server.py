@@ -1,4 +1,5 @@
-"""A Unix socket that the frame loop serves in its turns: one request line, one answer, no threads.
+"""A Unix socket server without threads, called by the main loop. A client sends one line and gets
+one answer.
 
 The loop never waits for a client, and its work is bounded: the number of clients, the bytes read
 from each, and the time for each. Answers are small and fit the socket's buffer.
@@ -20,18 +21,18 @@ from imucald.service.background_writer import Say
 from imucald.service.journal import WARNING
 
 CLIENTS_MAX = 8
-"""Largest number of clients; more are refused."""
+"""Largest number of clients at the same time; further clients are refused."""
 CLIENTS_PER_USER = 4
 """Largest number of clients of one user, so that one user cannot take all places."""
 KEPT_FOR_OWNER = 4
-"""Additional places for root and the daemon's own user."""
+"""Number of additional clients that are reserved for root and the daemon's own user."""
 ROOT = 0
 BACKLOG = 128
-"""Clients that can wait for a turn of the loop."""
+"""Largest number of clients that wait until the loop accepts them."""
 ACCEPTED_MAX = BACKLOG
-"""Clients accepted in one turn of the loop; the others wait for the next."""
+"""Largest number of clients accepted in one turn of the loop; the others wait for the next turn."""
 CLIENT_S = 1.0
-"""Time that a client has to send its request and take its answer [s]."""
+"""Longest time in which a client must send its request and read the answer [s]."""
 REQUEST_MAX = 4096
 """Longest request [bytes]."""
 SEND_BUFFER = 1 << 18
@@ -40,11 +41,12 @@ _CREDENTIALS = struct.Struct("3i")
 
 
 def nobody_listens(_text: str, _priority: int) -> None:
-    """Ignore a log line; `say` of a server whose errors are not logged."""
+    """Ignore a log line. This function is the argument `say` of a server whose errors are not
+    logged."""
 
 
 class Peer(NamedTuple):
-    """The client as the kernel knows it."""
+    """Process, user and group of a client, as stated by the kernel."""
 
     pid: int
     uid: int
@@ -61,11 +63,12 @@ class _Client:
 
 
 class LineServer:
-    """Answers on a Unix socket. `poll` does what is possible at once.
+    """Answers requests on a Unix socket. `poll` serves the clients without waiting.
 
-    mode: permissions of the socket file. answer: function that returns the bytes for the line of a
-    client. If it raises, the client gets nothing, and `say` (a function that takes a log line) gets
-    each kind of error once. Raises LinkError when the socket cannot be made.
+    mode: permissions of the socket file. answer: function that returns the answer to a client's
+    line. If this function raises an error, the client gets no answer, and each kind of error is
+    logged once with `say` (a function that takes a log line). Raises LinkError when the socket
+    cannot be made.
     """
 
     def __init__(
@@ -101,7 +104,7 @@ class LineServer:
     def poll(self) -> None:
         """Serve the clients that wait.
 
-        The call never blocks and never raises, whatever a client does.
+        The call never blocks and never raises an error, whatever a client does.
         """
         with contextlib.suppress(OSError):
             for _ in range(ACCEPTED_MAX):
@@ -128,7 +131,7 @@ class LineServer:
         return len(others) < CLIENTS_MAX and others.count(uid) < CLIENTS_PER_USER
 
     def _served(self, client: _Client) -> bool:
-        """Serve one client further; return whether to keep it."""
+        """Continue to serve one client. Return whether the client stays connected."""
         try:
             if client.answer is None:
                 part = client.connection.recv(REQUEST_MAX)
@@ -157,9 +160,8 @@ class LineServer:
         return True
 
     def _failed(self, error: Exception) -> None:
-        """Log that there was no answer.
-
-        This is logged once, because a client may ask again without end.
+        """Log an error that prevented an answer. Each kind of error is logged once, because a
+        client may repeat its request without end.
         """
         kind = type(error).__name__
         if kind not in self._said:
@@ -181,7 +183,8 @@ def _peer(connection: socket.socket) -> Peer:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove the socket of a killed daemon. A socket that answers is left, so that bind fails."""
+    """Remove the socket of a killed daemon. A socket that accepts a connection is not removed, so
+    that bind fails."""
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

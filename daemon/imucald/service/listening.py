@@ -1,4 +1,4 @@
-"""A listening address, and the separate process that serves metrics there."""
+"""Listen at an address, and serve metrics there in a separate process."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ def listening_at(address: str) -> socket.socket:
 
 
 class ServingProcess:
-    """A forked process that serves on a socket until this process ends in any way.
+    """A forked process that serves a socket. It ends when the parent process ends for any reason.
 
-    serve: function that runs there forever. The object must be made before any thread.
+    serve: function that runs in the forked process forever. The object must be created before any
+    thread is started.
     """
 
     def __init__(self, listening: socket.socket, serve: Callable[[socket.socket], None]) -> None:
@@ -50,7 +51,7 @@ class ServingProcess:
         self.has_ended = False
 
     def poll(self) -> bool:
-        """Return whether the process has just ended by itself."""
+        """Return whether the forked process has ended by itself since the last call."""
         if self.has_ended:
             return False
         try:
@@ -60,7 +61,7 @@ class ServingProcess:
         return self.has_ended
 
     def close(self) -> None:
-        """End the process."""
+        """End the forked process."""
         os.close(self._mine)
         self.poll()  # its number may be another process's by now where SIGCHLD is ignored
         if not self.has_ended:

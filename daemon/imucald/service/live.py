@@ -1,9 +1,9 @@
-"""The live daemon: one loop that receives, calibrates, corrects and sends. No threads.
+"""The live daemon: one loop without threads that receives, calibrates, corrects and sends.
 
-Received frames are handled at once. Without frames, the clock closes ticks, so that status frames
-continue and missing inputs are found. Before the first configured frame, a heartbeat reports that.
-A frame that waited too long is no longer corrected. This happens if the loop was blocked or is too
-slow.
+Received frames are handled at once. If no frames arrive, ticks end by the clock, so that status
+frames continue and missing inputs are detected. Until the first configured frame arrives, the
+daemon sends a status frame once per second. A frame that waited too long is not corrected. Frames
+wait too long if the loop was blocked or is too slow.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
 
 WAIT_S = 0.05
-"""Longest wait for a frame [s]: it limits the delay for noticing a silent bus and for a stop."""
+"""Longest wait for a frame [s]. This time limits the delay until a silent bus or a stop is
+noticed."""
 IDLE_S = 0.5
-"""Silence after which the clock closes ticks [s]: far longer than any delivery takes."""
+"""Silence on the bus after which ticks end by the clock [s]. This time is far longer than the
+delivery of any frame."""
 CONFLICT_S = 10.0
-"""Time for which a foreign sender of our ids is reported [s]."""
+"""Time for which another sender of our ids is reported [s]."""
 STRIDE = 16
-"""Frames handled between two readings of the clock: 1.3 ms natively, 80 ms under emulation."""
+"""Number of frames handled between two readings of the clock. They take 1.3 ms natively and 80 ms
+under emulation."""
 MAX_AGE_S = 2.0 * MAX_HOLD
-"""A frame that has waited for longer is no longer corrected [s].
-
-The age is twice the time that a corrected frame waits to be sent, and twice `WAIT_S`. A loop that
-is fast enough finds the bus empty far more often.
+"""A frame is not corrected if it has waited for longer than this [s]. The age is twice the time
+that a corrected frame may wait to be sent, and twice `WAIT_S`. A loop that is fast enough has read
+all waiting frames far more often.
 """
 HEARTBEAT_S = 1.0
-"""Period of status frames while the bus is silent [s]."""
+"""Period of status frames before the first configured frame, and during a long silence [s]."""
 RECENT_S = 1.0
-"""Time for which losses and failed sends are reported [s]."""
+"""Time for which lost frames and frames that were not sent are reported [s]."""
 
 
 def open_link(
@@ -51,7 +53,8 @@ def open_link(
     channel: str | None = None,
     on_event: Callable[[LinkEvent], None] | None = None,
 ) -> Link:
-    """Open the configuration's bus, or the named one. Raises LinkError."""
+    """Open the bus of the configuration. `interface` and `channel` override the configuration.
+    Raises LinkError."""
     bus = loaded.config.bus
     unbound = [IdMatch(m.can_id, m.mask) for m in matches]  # one live bus: any channel
     return Link(
@@ -75,7 +78,7 @@ def send_columns(link: Link, frames: FrameColumns) -> None:
 
 @dataclass
 class _Recent:
-    """Converts a growing counter into "it grew lately"."""
+    """Returns whether a counter has increased within a limited time."""
 
     hold: float
     _value: int = 0
@@ -89,34 +92,34 @@ class _Recent:
 
 
 class Extra(Protocol):
-    """Another user of the same bus; it never waits."""
+    """Another server on the same bus, such as UDS. Its methods never wait."""
 
     @property
     def ids(self) -> frozenset[int]:
-        """Ids of the frames that it takes, with the flag for 29 bits; the engine does not get these
-        frames.
+        """Ids of the frames that this server handles, with the flag for 29 bits. The engine does
+        not receive these frames.
         """
         ...
 
     @property
     def wait(self) -> float:
-        """The time until the next `poll` must come [s]."""
+        """The longest time until the next call of `poll` [s]."""
         ...
 
     def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
-        """Take one of its frames; return the frames to send."""
+        """Handle a frame with one of `ids`. Return the frames to send."""
         ...
 
     def poll(self) -> list[OutFrame]:
-        """Let time pass; return the frames to send."""
+        """Handle time-outs. Return the frames to send."""
         ...
 
 
 class Daemon:
-    """Runs an engine on a link until asked to stop.
+    """Runs an engine on a link until `stop` is called.
 
-    clock: monotonic [s]. extra: also served; frames of its ids are not passed to the engine.
-    max_age: largest age of frames that are corrected [s], see `MAX_AGE_S`.
+    clock: monotonic [s]. extra: another server on the bus; frames with its ids are not passed to
+    the engine. max_age: largest age of frames that are corrected [s], see `MAX_AGE_S`.
     """
 
     def __init__(
@@ -137,14 +140,15 @@ class Daemon:
         self._lost = _Recent(RECENT_S)
         self._conflict = _Recent(CONFLICT_S)
         self.between: Callable[[], None] = lambda: None
-        """Called every `STRIDE` frames of a batch, for tasks that cannot wait for its end."""
+        """Function that is called every `STRIDE` frames of a batch, for tasks that cannot wait for
+        the end of the batch."""
         self._unsent = _Recent(RECENT_S)
         self._backlog = Backlog(clock(), max_age)
         self._last_frame = clock()
         self._next_heartbeat = clock()
 
     def serve(self, extra: Extra | None) -> None:
-        """Serve this along with the engine from now on, in place of the previous one."""
+        """Replace the other server on the bus by `extra`."""
         self._extra = extra
         self._extra_ids = frozenset[int]() if extra is None else extra.ids
 
@@ -159,18 +163,18 @@ class Daemon:
         )
 
     def run(self) -> None:
-        """Loop until `stop`."""
+        """Run the loop until `stop` is called."""
         while not self.stopping:
             self.serve_once()
 
     def stop(self) -> None:
-        """Ask the loop to end, which takes at most `WAIT_S`. The call is safe in a signal
+        """Request the end of the loop. The loop ends within `WAIT_S`. The call is safe in a signal
         handler.
         """
         self.stopping = True
 
     def serve_once(self, wait: float = WAIT_S) -> int:
-        """Receive once and handle the frames; return their number."""
+        """Receive frames once, and handle them. Return the number of frames."""
         extra, extra_ids, ours = self._extra, self._extra_ids, 0
         frames = self.link.receive(wait if extra is None else min(wait, extra.wait))
         now, backlog = self._clock(), self._backlog
@@ -207,11 +211,12 @@ class Daemon:
 
     @property
     def silent_s(self) -> float:
-        """Time since the last frame of a configured message, or since the start [s]."""
+        """Time since the last frame of a configured message [s]. Before the first frame: time since
+        the start."""
         return max(self._clock() - self._last_frame, 0.0)
 
     def _idle(self, now: float) -> None:
-        """Let stream time pass by the monotonic clock, because nothing came for a while."""
+        """Advance stream time by the monotonic clock if no frame has arrived for `IDLE_S`."""
         # The time lags by IDLE_S, so that a frame in transit is not late.
         elapsed = now - self._last_frame - IDLE_S
         engine = self.engine
@@ -228,16 +233,19 @@ class Daemon:
 
 
 class Backlog:
-    """Decides which frames are too old to be corrected, with any clock for the stamps.
+    """Decides which frames are too old to be corrected. The clock of the time stamps may be any
+    clock.
 
-    The stamps' clock may be wrong, be set at any time, or be an adapter's own. Only the loop's
-    clock is certain: a frame came after the bus was last found empty. The first frame since then
-    represents that moment, and later frames count from it by their stamps. A frame therefore seems
-    too old by at most the silence before the first frame. If the clock was set forward meanwhile,
-    stamps look too new. The wall clock then decides, if it is the clock of the stamps.
+    The clock of the time stamps may be wrong, may be set at any time, or may be the clock of an
+    adapter. Only the loop's own clock is reliable: every waiting frame arrived after the last time
+    at which the loop had read all frames. The first frame after this time is assumed to have
+    arrived at this time. The ages of later frames follow from the differences between their stamps
+    and the stamp of the first frame. The computed age is therefore too large, by at most the
+    silence before the first frame. If the clock of the stamps was set forward in between, frames
+    seem too new. In this case the wall clock decides, if it is the clock of the stamps.
 
-    now: monotonic [s], here and in all methods. max_age: largest age of a frame that is handled
-    [s]. wall: clock of the stamps, if it is the system's [s].
+    now: monotonic [s], here and in all methods. max_age: largest age of a frame that is corrected
+    [s]. wall: the system's wall clock [s].
     """
 
     def __init__(self, now: float, max_age: float, wall: Callable[[], float] = time.time) -> None:
@@ -248,9 +256,9 @@ class Backlog:
         self._first = math.inf  # stamp of the first frame that came after `_since`
 
     def read(self, frames: Sequence[Frame], is_empty: bool, now: float) -> bool:
-        """Note the frames that were read until now; return whether any of them can be too old.
+        """Register the frames that were just read. Return whether any of them can be too old.
 
-        is_empty: nothing is left on the bus.
+        is_empty: True if no frame waits after this read.
         """
         if self._is_empty:
             self._since = self._read_at
@@ -262,11 +270,11 @@ class Backlog:
         return self.may_be_late(now)
 
     def may_be_late(self, now: float) -> bool:
-        """Return whether any frame of the last read can be too old by now."""
+        """Return whether any frame of the last read can be too old at time `now`."""
         return now - self._since > self.max_age
 
     def is_late(self, stamp: float, now: float) -> bool:
-        """Return whether a frame of the last read is too old by now."""
+        """Return whether a frame of the last read is too old at time `now`."""
         waited = now - self._since
         if waited - (stamp - self._first) > self.max_age:
             return True
@@ -274,21 +282,22 @@ class Backlog:
 
 
 MAX_SLEW = 0.1
-"""Largest relative rate difference of a clock that is slewed to the right time: adjtimex(2),
-`tick`.
+"""Largest relative change of a clock's rate while the system corrects its time gradually (slewing):
+adjtimex(2), `tick`.
 """
 LEAST_S = 0.1
-"""Smallest step that is distinguished from slewing between two readings a second apart."""
+"""Smallest step of a clock that can be distinguished from slewing, for readings one second apart
+[s]."""
 
 
 def steady_clock() -> float:
-    """Return the seconds since the boot, including those of a suspend if the system counts them."""
+    """Return the time since the boot [s], including suspended time if the system counts it."""
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 class ClockWatch:
-    """Notices that the system's clock was set by comparing it with a clock that is never set
-    [s].
+    """Detects that the system's clock was set. The clock is compared with a clock that is never
+    set. wall, steady: functions that return both times [s].
     """
 
     def __init__(
@@ -300,9 +309,9 @@ class ClockWatch:
         self._low, self._high, self._at = self._ahead()
 
     def _ahead(self) -> tuple[float, float, float]:
-        """Return bounds of wall clock minus steady clock, and the latter.
-
-        There are bounds because the process may be interrupted between the readings.
+        """Return lower and upper bound of the difference wall clock minus steady clock, and the
+        steady clock [s]. The difference has bounds because the process may be interrupted between
+        the readings.
         """
         before = self._steady()
         wall = self._wall()
@@ -310,7 +319,8 @@ class ClockWatch:
         return wall - after, wall - before, after
 
     def look(self) -> float | None:
-        """Return by how much the clock was set since the last call [s]; None: it was not set."""
+        """Return the step by which the clock was set since the last call [s]; None if it was not
+        set."""
         low, high, at = self._ahead()
         slewed = max(MAX_SLEW * (at - self._at), LEAST_S)
         forward, back = low - self._high, high - self._low

@@ -26,7 +26,7 @@ _LINK_COUNTERS = {
 
 
 def metrics_text(status: Mapping[str, Any]) -> str:
-    """Return the text; an unknown value has no line.
+    """Return the metrics of a status as Prometheus text. An unknown value has no line.
 
     Every line has the label `bus`, because one file may contain several daemons.
     """

@@ -1,6 +1,6 @@
-"""Metrics over HTTP for a Prometheus that scrapes, served by a separate process.
+"""Metrics over HTTP for Prometheus, served by a separate process.
 
-The process asks the daemons' status sockets, as any client may; it does not use the frame loop.
+The process requests the metrics at the status sockets of the daemons, like any other client.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from urllib.parse import urlsplit
 from imucald import __version__
 
 CLIENTS_MAX = 16
-"""Connections above which one without a request is closed."""
+"""Largest number of open connections. For another connection, a connection that has sent no request
+is closed."""
 IDLE_S = 2.0
 CLIENT_S = 5.0
-"""Longest duration of a connection [s], however slowly its request comes."""
+"""Longest duration of a connection [s], also if the client sends its request slowly."""
 FRESH_S = 0.2
-"""Largest age of a text that is sent as an answer [s]."""
+"""Largest age of the metrics text that is sent as an answer [s]."""
 CONTENT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class MetricsHandler(BaseHTTPRequestHandler):
-    """Handles GET and HEAD of /metrics, and nothing else."""
+    """Handles the requests GET and HEAD for /metrics; other requests are refused."""
 
     timeout = IDLE_S
     server_version = f"imucald/{__version__}"
@@ -38,15 +39,15 @@ class MetricsHandler(BaseHTTPRequestHandler):
     server: MetricsServer
 
     def do_GET(self) -> None:
-        """Answer a scrape."""
+        """Answer a request of Prometheus with the metrics."""
         self.wfile.write(self._headed())
 
     def do_HEAD(self) -> None:
-        """Answer as for GET, without the text."""
+        """Send only the head of the answer to GET."""
         self._headed()
 
     def _headed(self) -> bytes:
-        """Send the head of the answer; return its text."""
+        """Send the head of the answer, and return the body."""
         self.server.has_asked(self.connection)
         if not self.server.is_named(self.headers.get("Host", "")):
             self.send_error(403, "these metrics are for this machine only")
@@ -62,12 +63,12 @@ class MetricsHandler(BaseHTTPRequestHandler):
         return body
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - as in the library
-        """Write no line: scrapes come without end."""
+        """Log nothing, because requests repeat without end."""
 
 
 class MetricsServer(ThreadingHTTPServer):
-    """Serves on a socket that already listens. text: function that makes the answer of each
-    scrape.
+    """HTTP server on a socket that already listens. text: function that returns the metrics
+    text.
     """
 
     daemon_threads = True
@@ -81,16 +82,16 @@ class MetricsServer(ThreadingHTTPServer):
         self._is_local = _is_loopback(str(self.server_address[0]))
         self._open: dict[Any, str] = {}  # sockets, oldest first, with the address of each
         self._asking: set[Any] = set()
-        """Connections whose request has not come yet."""
+        """Connections whose request is not complete yet."""
         self._lock, self._making = threading.Lock(), threading.Lock()
         self._made, self._made_at = "", -math.inf
 
     def is_named(self, host: str) -> bool:
-        """Return whether a request's Host is a valid name of this server.
+        """Return whether the Host field of a request is a valid name of this server.
 
-        A server for this machine only is valid under an address or as localhost. Any other name may
-        belong to a web page that was made to point here, in order to read what its visitor's
-        machine shows.
+        A server that listens only on this machine accepts a loopback address and "localhost". Other
+        names are refused, because a foreign web page could let its own name point to this machine
+        and read the metrics through its visitor's browser.
         """
         if not self._is_local:
             return True
@@ -101,11 +102,11 @@ class MetricsServer(ThreadingHTTPServer):
         return name is None or name == "localhost" or _is_loopback(name)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection along with the others.
+        """Serve a new connection.
 
-        If there are too many, one without a request is closed. The oldest connection of the address
-        with the most such connections is closed. A client with slow requests therefore cannot block
-        others, however many connections it has.
+        If there are too many connections, one that has sent no request is closed: the oldest such
+        connection of the address with the most connections. A client with slow requests therefore
+        cannot block other clients, even with many connections.
         """
         with self._lock:
             if len(self._open) >= CLIENTS_MAX:
@@ -126,21 +127,22 @@ class MetricsServer(ThreadingHTTPServer):
         self._asking.discard(request)
 
     def has_asked(self, request: Any) -> None:
-        """Note that the request of a connection is complete, so the connection is answered in any
-        case.
+        """Register that the request of a connection is complete. The connection is then not closed
+        before its answer.
         """
         with self._lock:
             self._asking.discard(request)
 
     def fresh_text(self) -> str:
-        """Return the text; simultaneous requests share one text."""
+        """Return the metrics text, not older than `FRESH_S`. Simultaneous requests share one
+        text."""
         with self._making:
             if time.monotonic() - self._made_at > FRESH_S:
                 self._made, self._made_at = self.text(), time.monotonic()
             return self._made
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a connection for its allowed duration."""
+        """Serve a connection, for at most `CLIENT_S`."""
         end = threading.Timer(CLIENT_S, _cut, [request])
         end.daemon = True
         end.start()
@@ -152,13 +154,12 @@ class MetricsServer(ThreadingHTTPServer):
                 self._forget(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore the error: a client that went away is usual."""
+        """Ignore the error, because clients often end a connection early."""
 
 
 def _cut(request: socket.socket) -> None:
-    """End the wait of a connection's thread.
-
-    Closing would not do this, because the thread's files keep the connection open.
+    """Shut down a connection, so that its thread stops waiting. Closing the socket would not end
+    the wait, because the thread's file objects keep the connection open.
     """
     with contextlib.suppress(OSError):
         request.shutdown(socket.SHUT_RDWR)

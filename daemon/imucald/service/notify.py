@@ -1,14 +1,13 @@
-"""Messages to systemd: ready, reloading, stopping, a status line, and that the loop still runs.
+"""Messages to systemd: ready, reloading, stopping, a status line, and watchdog messages.
 
-The protocol of sd_notify(3): datagrams of NAME=value lines to the socket that systemd names in the
-environment. Without that name in the environment, nothing is sent. Sending never blocks and never
-fails: a service manager that does not listen must not stop the daemon.
+The protocol is sd_notify(3): datagrams with NAME=value lines are sent to the socket that systemd
+names in the environment. If the environment does not name a socket, nothing is sent. Sending never
+blocks and never fails, because a service manager that does not listen must not stop the daemon.
 
-The module also ends the unit's count of successive starts, once the daemon has run for a while.
-
-The unit (`systemd/imucald@.service`) counts in this file before each start and slows down a restart
-loop by it. The unit needs no clock, which would cost it a process, because this module ends the
-count.
+The module also resets the unit's count of successive starts after the daemon has run for a while.
+The unit (`systemd/imucald@.service`) increases the count in a file before each start, and delays
+the start if the count is high. The unit does not need to measure time, because this module resets
+the count.
 """
 
 from __future__ import annotations
@@ -22,13 +21,14 @@ from contextlib import suppress
 from pathlib import Path
 
 FEEDS_PER_TIMEOUT = 4
-"""Number of watchdog messages within its time-out."""
+"""Number of watchdog messages within one watchdog time-out."""
 
 
 class Notifier:
     """Sends messages to the service manager.
 
-    environment: variables with its names (default: the process's).
+    environment: environment variables that name the socket and the watchdog (default: those of this
+    process).
     """
 
     def __init__(
@@ -54,7 +54,8 @@ class Notifier:
         self._send("READY=1")
 
     def reloading(self) -> None:
-        """Report that the configuration is being read again; `ready` ends this."""
+        """Report that the configuration is being read again. `ready` reports the end of the
+        reload."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
@@ -62,14 +63,14 @@ class Notifier:
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """Send the line that `systemctl status` shows, if it has changed."""
+        """Send the line that `systemctl status` shows, if the line has changed."""
         line = " ".join(text.split())
         if line != self._status:
             self._status = line
             self._send(f"STATUS={line}")
 
     def feed(self) -> None:
-        """Notify systemd now and then that the loop runs; the main loop must call this."""
+        """Send a watchdog message if one is due. The main loop must call this often."""
         now = self._clock()
         if self._period and now >= self._next_feed:
             self._next_feed = now + self._period
@@ -82,7 +83,8 @@ class Notifier:
 
 
 def _watchdog_period(environment: Mapping[str, str]) -> float:
-    """Return the seconds between watchdog messages; 0 if no watchdog waits for this process."""
+    """Return the period of watchdog messages [s]; 0 if systemd expects no watchdog messages from
+    this process."""
     try:
         timeout = int(environment.get("WATCHDOG_USEC", "0")) / 1e6
         pid = int(environment.get("WATCHDOG_PID", os.getpid()))
@@ -92,15 +94,17 @@ def _watchdog_period(environment: Mapping[str, str]) -> float:
 
 
 LONG_ENOUGH_S = 60.0
-"""A process that ran for this long is not in a restart loop: its next restart is immediate again
-[s].
+"""A process that has run for this long is not in a restart loop [s]. Its next restart has no
+delay.
 """
 ENDED = b"ended\n"
-"""Text that replaces a count; any text that is not a number counts as zero."""
+"""Text that replaces the count in the file. The unit reads any text that is not a number as
+zero."""
 
 
 def start_count_file(environment: Mapping[str, str]) -> Path | None:
-    """Return the unit's file; None without a unit."""
+    """Return the path of the file with the unit's count; None if systemd did not start this
+    process."""
     if "INVOCATION_ID" not in environment:  # systemd sets it
         return None
     folder = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
@@ -108,8 +112,8 @@ def start_count_file(environment: Mapping[str, str]) -> Path | None:
 
 
 def end_count(path: Path | None) -> None:
-    """End the count at an orderly end, or at one that another start would not cure: neither is part
-    of a loop.
+    """Reset the count in the file. This is done at an orderly end, and at an error that another
+    start would not cure, because both are not part of a restart loop.
     """
     if path is not None:
         # The file is overwritten in place, as the unit does: on a disk that has become full, no new
@@ -119,13 +123,13 @@ def end_count(path: Path | None) -> None:
 
 
 class StartCount:
-    """Ends the count in a file (None: there is none) after `LONG_ENOUGH_S`."""
+    """Resets the count in a file after `LONG_ENOUGH_S`. Without a file (None), nothing is done."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
 
     def update(self, uptime: float) -> None:
-        """uptime: uptime of this process [s]."""
+        """Reset the count if the time has passed. uptime: uptime of this process [s]."""
         if self._path is not None and uptime >= LONG_ENOUGH_S:
             end_count(self._path)
             self._path = None

@@ -1,10 +1,9 @@
-"""Parts of a service that depend on its configuration, made at the start and at each reload.
+"""Parts of a service that depend on its configuration. They are created at the start and at each
+reload.
 
-A reload replaces all parts or none: after a failure the running parts stay unchanged. The functions
-that carry parts over a reload are here too, and those for the sensor check of the attitude.
-
-`UdsDiagnostics` are the diagnostics (UDS) of a service: the server on the bus, and the data that
-survive the process.
+A reload replaces all parts or none: after a failure, the running parts stay unchanged. This module
+also contains the functions that continue parts after a reload, and the functions for the sensor
+check of the attitude.
 """
 
 from __future__ import annotations
@@ -43,8 +42,9 @@ if TYPE_CHECKING:
 class ServiceOptions:
     """Options of a service from the command line.
 
-    state_folder, status_socket: None for none. socket_needed: without the socket the service does
-    not start. save_period: period between saves [s]. start_count: the unit's file (see `notify`).
+    state_folder, status_socket: paths; None if not used. socket_needed: if True, the service does
+    not start without the socket. save_period: period between saves [s]. start_count: path of the
+    unit's count of starts (see `notify`).
     """
 
     config: Path
@@ -59,10 +59,10 @@ class ServiceOptions:
 
 
 class UdsDiagnostics(Struct, frozen=True):
-    """uds: serves testers; None: switched off.
+    """The diagnostics (UDS) of a service.
 
-    dtc_store, keys: trouble codes and wrong keys, saved on the disk. Once made, they stay even
-    while diagnostics are switched off.
+    uds: server for testers on the bus; None if switched off. dtc_store, keys: trouble codes and
+    wrong keys, saved on the disk. They stay even while diagnostics are switched off.
     """
 
     uds: BusUds | None = None
@@ -70,7 +70,7 @@ class UdsDiagnostics(Struct, frozen=True):
     keys: AttemptStore | None = None
 
     def update(self) -> None:
-        """Save trouble codes if it is due."""
+        """Save changed trouble codes if a save is due."""
         if self.dtc_store is not None:
             self.dtc_store.update()
 
@@ -82,7 +82,8 @@ class UdsDiagnostics(Struct, frozen=True):
             self.keys.close()
 
     def status(self) -> dict[str, Any] | None:
-        """Return the part of `imucald status` about diagnostics; None: switched off."""
+        """Return the part of `imucald status` about diagnostics; None if diagnostics are switched
+        off."""
         if self.uds is None or self.dtc_store is None:
             return None
         return self.uds.status() | {"dtc_memory": self.dtc_store.status()}
@@ -97,7 +98,7 @@ def diagnostics_for(
     say: Say,
     clock: Callable[[], float],
 ) -> UdsDiagnostics:
-    """Return the diagnostics of a configuration, continued from the former ones.
+    """Return the diagnostics of a configuration. They continue with the data of `before`.
 
     folder: folder of the saved state. Raises ConfigError with the place of a mistake.
     """
@@ -139,7 +140,7 @@ class Listeners:
 
 
 class PartsMaker:
-    """Makes the parts of a service. clock: monotonic [s]."""
+    """Creates the parts of a service. clock: monotonic [s]."""
 
     def __init__(
         self,
@@ -154,7 +155,7 @@ class PartsMaker:
     def read(self) -> tuple[LoadedConfig, Engine]:
         """Read the configuration and build its engine.
 
-        This may take long; nothing is opened.
+        The call may take long. It opens neither the bus nor the saved state.
 
         Raises ConfigError.
         """
@@ -178,9 +179,8 @@ class PartsMaker:
         )
 
     def after(self, parts: Parts, loaded: LoadedConfig, engine: Engine) -> Parts:
-        """Return the parts of another configuration; parts that can continue do.
-
-        Raises any exception of a failing part.
+        """Return the parts for a new configuration. Running parts are used again where possible.
+        Raises any exception of a part that cannot be created.
         """
         old, link, diagnostics = parts.engine, parts.link, parts.diagnostics
         try:
@@ -207,10 +207,9 @@ class PartsMaker:
     def _estimator_after(
         self, parts: Parts, loaded: LoadedConfig, engine: Engine, same_bus: bool
     ) -> tuple[MountEstimator, CalibrationStore | None]:
-        """Return the running estimator if it can stay. Else return a new estimator that continues
-        from the present knowledge.
-
-        Also return the store that saves it.
+        """Return the running estimator if the new configuration allows it. Else return a new
+        estimator that starts with the present mount. Also return the store that saves the
+        estimator.
         """
         running, store = parts.engine, parts.calibration_store
         old, new = running.pipeline.estimator, engine.pipeline.estimator
@@ -265,7 +264,7 @@ class PartsMaker:
 def listens_otherwise(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Return whether another bus, other inputs or other outputs are configured."""
+    """Return whether the new configuration has another bus, other inputs or other outputs."""
     return (
         old.config.bus != new.config.bus
         or old.config.diagnostics != new.config.diagnostics
@@ -275,7 +274,7 @@ def listens_otherwise(
 
 
 def is_same_bus(old: LoadedConfig, new: LoadedConfig, options: ServiceOptions) -> bool:
-    """Return whether the bus is the same; another bus has another sensor."""
+    """Return whether both configurations use the same bus. Another bus has another sensor."""
 
     def names(loaded: LoadedConfig) -> tuple[str, str]:
         bus = loaded.config.bus
@@ -287,12 +286,12 @@ def is_same_bus(old: LoadedConfig, new: LoadedConfig, options: ServiceOptions) -
 def keeps_estimator(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Return whether the running estimator equals the one that the new configuration would make.
+    """Return whether the running estimator has the settings that the new configuration requires.
 
-    The result is False if a database gives a signal another meaning: knowledge of the sensor's
-    health then belongs to the former signal, and nothing is good before the new signal has been
-    seen. Limits of plausible values change no number, and invalidate nothing that was learnt,
-    including standing faults.
+    The result is False if a new database changes the meaning of a signal. The known health of the
+    sensor belongs to the old signal, so the new signal must first be observed. Changed limits of
+    plausible values do not make the result False, because they do not change values: everything
+    learnt stays valid, including present faults.
     """
     a, b = old.config, new.config
     before, now = old_engine.router, new_engine.router
@@ -303,8 +302,8 @@ def keeps_estimator(
 def keeps_consumers(
     old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
 ) -> bool:
-    """Return whether the consumers that run along with the calibration equal those that the new
-    configuration would make.
+    """Return whether the consumers of the calibrated samples (such as the attitude) have the
+    settings that the new configuration requires.
     """
     a, b = (
         (c.attitude, c.travel_direction, c.signals, c.output.ids, c.output.checksum)
@@ -314,7 +313,7 @@ def keeps_consumers(
 
 
 def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> None:
-    """Give a new estimator the usual durations for which unchanged signals keep a value.
+    """Pass to a new estimator how long each unchanged signal usually keeps a value.
 
     A signal that has been stuck since before the reload would never show its usual duration.
     """
@@ -328,9 +327,8 @@ def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> N
 
 
 def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator:
-    """Return the new estimator with the mount of the old one in front of it as restored.
-
-    A hold by an order continues. A hold by the configuration follows the new configuration.
+    """Return the new estimator, started with the mount of the old estimator. A hold by an order
+    continues. A hold by the configuration follows the new configuration.
     """
     stored = mount_in_force(old)
     if stored is None:
@@ -343,7 +341,8 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
 
 
 def repeat_check(engine: Engine) -> bool:
-    """Repeat the sensor check at the next rest; return whether there is one to repeat."""
+    """Repeat the sensor check at the next standstill. Return whether the engine has a sensor
+    check."""
     found = _checking(engine)
     for consumer in found:
         consumer.check_sensors()
@@ -351,23 +350,24 @@ def repeat_check(engine: Engine) -> bool:
 
 
 def is_checked(engine: Engine) -> bool:
-    """Return whether the sensor check has been made, if there is one."""
+    """Return whether the sensor check of the engine has been completed."""
     return all(consumer.checked for consumer in _checking(engine))
 
 
 def saved_check(engine: Engine) -> Mapping[str, Any] | None:
-    """Return the result of the sensor check for the saved state: sensor axes, SI; None before
-    it.
+    """Return the result of the sensor check for the saved state (sensor axes, SI); None before the
+    check.
     """
     return next((consumer.saved_check() for consumer in _checking(engine)), None)
 
 
 def restore_check(engine: Engine, saved: object) -> None:
-    """Take a saved sensor check if it is plausible."""
+    """Use the saved result of a sensor check if it is plausible."""
     for consumer in _checking(engine):
         consumer.restore_check(saved)
 
 
 def _checking(engine: Engine) -> list[ChecksSensors]:
-    """Return the consumer of an engine that checks sensors: the attitude, if it is on."""
+    """Return the consumers of an engine that check sensors: the attitude, if it is enabled, else
+    none."""
     return [consumer for consumer in engine.consumers if isinstance(consumer, ChecksSensors)]

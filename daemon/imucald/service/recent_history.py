@@ -1,7 +1,7 @@
-"""The last half hour of a daemon, stored for a page that is opened later.
+"""The values of the last half hour of a daemon, stored for a page that is opened later.
 
-There is a row every two seconds, as JSON of about 200 bytes. The history takes 200 kB, and an
-answer only joins rows.
+Every two seconds, a row of about 200 bytes of JSON is stored. The history needs 200 kB. An answer
+only joins the rows.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imucald.runtime.summary import plain
 
 PERIOD_S = 2.0
 KEPT = 900
-"""Rows that are kept: half an hour."""
+"""Largest number of rows: half an hour."""
 NOTHING = [math.nan] * 3
 COLUMNS = (
     "at",
@@ -36,16 +36,16 @@ COLUMNS = (
     "dvdt_mps2",
     "turn_mps2",
 )
-"""Columns: wall clock [s]; state; kind of flow; mount, with half of its 95 % intervals; and means
-over the period.
+"""Columns: wall clock [s]; state; kind of flow; angles of the mount; half of the 95 % interval of
+each angle; means over the period.
 
-The means are the force in sensor axes (without the effects that a model file removes) and as
-corrected, the change of speed, and speed times corrected turn rate.
+The means are specific force in sensor axes (without the effects that a model file removes),
+corrected specific force, change of speed, and speed times corrected turn rate.
 """
 
 
 class RecentHistory:
-    """Gathers ticks into rows. wall: function that returns the time of day [s]."""
+    """Collects ticks in rows. wall: function that returns the time of day [s]."""
 
     def __init__(self, wall: Callable[[], float] = time.time) -> None:
         self._wall = wall
@@ -55,7 +55,7 @@ class RecentHistory:
         self._ended: tuple[int, float] | None = None  # tick and speed [m/s] of the last row's end
 
     def tick(self, engine: Engine) -> None:
-        """Take the tick that was closed last, unless it was taken already."""
+        """Add the last complete tick, unless it was already added."""
         pipeline = engine.pipeline
         row = pipeline.closed
         if row is None or pipeline.k == self._k:
@@ -72,7 +72,7 @@ class RecentHistory:
         self._ticks.append([*raw, *force, speed, rate[2]])
 
     def end_row(self, engine: Engine, flow: str) -> None:
-        """Make a row of the ticks since the last row. flow: see `runtime.flow`."""
+        """Store a row with the means of all ticks since the last row. flow: see `runtime.flow`."""
         estimate = engine.pipeline.estimator.estimate()
         angles = estimate.angles or NOTHING
         std = estimate.angle_std or NOTHING
@@ -91,7 +91,8 @@ class RecentHistory:
         self._ticks.clear()
 
     def _means(self) -> list[float]:
-        """Return forces, dv/dt and speed times turn rate of the ticks; NaN if not known."""
+        """Return the means of forces, dv/dt and speed times turn rate over the ticks; NaN if not
+        known."""
         if not self._ticks:
             self._ended = None
             return [math.nan] * 8
@@ -109,6 +110,7 @@ class RecentHistory:
         return [*means[:6].tolist(), dvdt, float(means[6] * means[7])]
 
     def as_json(self, since: float = -math.inf) -> str:
-        """Return the rows after a time of day [s], oldest first, with the names of the columns."""
+        """Return the rows after the time of day `since` [s], oldest first, with the names of the
+        columns."""
         rows = ",".join(text for at, text in self._rows if at > since)
         return f'{{"period_s":{PERIOD_S},"columns":{json_text(COLUMNS)},"rows":[{rows}]}}\n'

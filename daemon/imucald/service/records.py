@@ -1,15 +1,16 @@
-"""Saved records: one file format and one way to write for all that a daemon stores.
+"""Saved records: the file format and the method of writing for all data that a daemon stores.
 
-A record is a JSON object in files of its own. Its first line holds kind, version, length and
-SHA-256. A save writes a new file, forces it to the disk and renames it, and forces the folder to
-the disk: at every instant the file is the old one or the new one. With two slots, two files (``.0``
-and ``.1``) alternate, so the previous record outlives the newest.
-A file is accepted only if length and checksum are right, its version is known, it belongs to this
-owner, and its content is valid. A file that is not accepted is renamed, with the reason in its new
-name, and never deleted.
+A record is a JSON object in its own files. The first line of a file contains kind, version, length
+and SHA-256. A save writes a new file, forces it to the disk, renames it, and forces the folder to
+the disk. At every instant, the complete old file or the complete new file exists. With two slots,
+two files (``.0`` and ``.1``) alternate, so the previous record remains if the newest record is
+damaged. A file is accepted only if length and checksum are right, the version is known, the owner
+is this daemon's vehicle and sensor, and the content is valid. A file that is not accepted is
+renamed and never deleted. The new name contains the reason.
 
-No database, because a record must be forgotten at once, while the disk is full or hangs in a save,
-and damage to one file must leave the others valid. A rename gives both.
+Files are used instead of a database for two reasons. A reset must work at once, even if the disk is
+full or a save hangs. Damage to one file must not affect other files. Renaming a file meets both
+conditions.
 
 Only one daemon may use a state folder (`folder_lock`).
 """
@@ -44,25 +45,27 @@ VERSION = 2
 READABLE = (b"1", b"2")
 """Versions that can be read.
 
-Version 1 of a state had sums of evidence, which are not used any more. Version 1 of the other
-records had neither length nor generation.
+Version 1 of a saved state contains sums of evidence that are not used. Version 1 of the other
+records contains neither length nor generation.
 """
 MAX_BYTES = 1 << 20
-"""A longer file is not a saved record."""
+"""Largest size of a saved record [bytes]."""
 PROBE = "probe"
 PROBE_BYTES = 1 << 16
-"""Bytes of a test write: usually more than a record has."""
+"""Size of a test write [bytes]. Most records are smaller."""
 LARGEST_NUMBER = 2**53
-"""Largest number in a file: up to there a float holds every integer."""
+"""Largest accepted number in a file. A float represents every integer up to this number exactly."""
 CLOSE_WAIT_S = 0.2
-"""Longest wait for the disk at a stop [s] for each small record; the state waits longer."""
+"""Longest wait for the disk for each small record when the daemon stops [s]. The wait for the saved
+state is longer."""
 
 Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
 class Loaded(Generic[Content]):
-    """Result of `RecordFiles.load`: the content, or None; one line for each file not accepted."""
+    """Result of `RecordFiles.load`: the content or None, and one text for each file that was not
+    accepted."""
 
     content: Content | None
     generation: int
@@ -70,7 +73,8 @@ class Loaded(Generic[Content]):
 
 
 class _RefusedError(Exception):
-    """Reason why a file is not accepted: one word for its new name, and a text."""
+    """A file is not accepted. The error contains a word for the file's new name, and a text with
+    the reason."""
 
     def __init__(self, word: str, text: str) -> None:
         super().__init__(text)
@@ -84,9 +88,9 @@ def _damaged(text: str) -> _RefusedError:
 class RecordFiles(Generic[Content]):
     """Saves and loads one record in its own files.
 
-    kind: first word of the files. read: function that returns the content of a JSON object; it
-    raises any exception if the content is not valid. owner: names and values that must be in the
-    file. slots: endings of the files that alternate.
+    kind: first word of each file. read: function that converts a JSON object to the content; it may
+    raise any exception if the object is not valid. owner: names and values that must be in the
+    file. slots: suffixes of the files that alternate.
     """
 
     def __init__(
@@ -102,15 +106,15 @@ class RecordFiles(Generic[Content]):
         self.generation = 0
         """Generation of the newest record that was saved, loaded or forgotten."""
         self.is_empty = True
-        """True if nothing is saved: nothing was saved, or all was forgotten since."""
+        """True if no record is saved: nothing was saved yet, or everything was forgotten."""
         self.era = 0
-        """Counter that increases when all saved records are forgotten; a save of an earlier era is
-        ignored.
+        """Counter that increases when all saved records are forgotten. A save with an earlier era
+        is ignored.
         """
         self._kind, self._read, self._owner = kind, read, owner or {}
         self._paths = [folder / f"{name}{slot}" for slot in slots]
         self._forgotten: set[Path] = set()
-        """Files that were forgotten but may still have their name."""
+        """Files that were forgotten but may not be renamed yet."""
         self._renaming = threading.Lock()
 
     def path(self, generation: int) -> Path:
@@ -118,9 +122,8 @@ class RecordFiles(Generic[Content]):
         return self._paths[generation % len(self._paths)]
 
     def load(self) -> Loaded[Content]:
-        """Return the newest acceptable record; set aside files that are not acceptable.
-
-        The call never raises.
+        """Return the newest acceptable record. Files that are not acceptable are renamed. The call
+        never raises an error.
         """
         best: Content | None = None
         generation, highest, problems = 0, 0, []
@@ -144,12 +147,11 @@ class RecordFiles(Generic[Content]):
         return Loaded(best, generation, tuple(problems))
 
     def save(self, content: Content, era: int | None = None) -> None:
-        """Write a new generation.
+        """Write a new generation of the record.
 
-        Raises OSError if the disk does not take it; nothing is lost then.
-
-        era: era of the content, if it was made earlier. If all was forgotten since, nothing is
-        written, and a file that is being written never gets its name.
+        Raises OSError if the disk cannot be written; the saved records stay unchanged. era: the era
+        in which the content was created. If the records were forgotten after this era, nothing is
+        written, and a file that is being written is not renamed to its final name.
         """
         era = self.era if era is None else era
         generation = self.generation + 1
@@ -165,8 +167,7 @@ class RecordFiles(Generic[Content]):
         self.sync()
 
     def why_not_writable(self) -> str:
-        """Return why the folder takes no record now; empty if it does.
-
+        """Return the reason why no record can be written to the folder now; empty if writing works.
         The call does not wait for the disk.
         """
         probe = self.folder / f"{PROBE}{UNFINISHED}"
@@ -183,10 +184,11 @@ class RecordFiles(Generic[Content]):
         return ""
 
     def forget(self) -> None:
-        """Set all generations aside, so that nothing is loaded any more.
+        """Rename the files of all generations, so that no record is loaded any more.
 
-        Raises OSError if that fails. The call never waits for the disk. `sync` waits; without it a
-        power cut may undo the change. After a failure `set_aside_forgotten` continues.
+        Raises OSError if a file cannot be renamed; `set_aside_forgotten` then tries again. The call
+        never waits for the disk. Without a call of `sync`, which waits, a power cut may undo the
+        renames.
         """
         with self._renaming:
             self.era += 1
@@ -195,7 +197,8 @@ class RecordFiles(Generic[Content]):
         self.set_aside_forgotten()
 
     def set_aside_forgotten(self) -> None:
-        """Set aside forgotten files that still have their name. Raises OSError if that fails."""
+        """Rename forgotten files that are not renamed yet. Raises OSError if a file cannot be
+        renamed."""
         failure: OSError | None = None
         with self._renaming:
             for path in sorted(self._forgotten):
@@ -211,11 +214,11 @@ class RecordFiles(Generic[Content]):
 
     @property
     def is_forgotten(self) -> bool:
-        """True if another start would load no forgotten record."""
+        """True if the next start loads no forgotten record."""
         return not self._forgotten
 
     def sync(self) -> None:
-        """Force the renames to the disk."""
+        """Force the renames of files to the disk. The call waits for the disk."""
         sync_folder(self.folder)
 
     def encoded(self, generation: int, content: Content) -> bytes:
@@ -229,7 +232,8 @@ class RecordFiles(Generic[Content]):
         return with_checksum(f"{self._kind} {VERSION} {len(body)}", body)
 
     def decoded(self, data: bytes) -> tuple[int, Content]:
-        """Return generation and content of a file's bytes. Raises if they are not accepted."""
+        """Return generation and content of a file's bytes. Raises an error if the file is not
+        accepted."""
         title, body, is_right = split_checksum(data)
         kind, _, rest = title.partition(b" ")
         version, _, length = rest.partition(b" ")
@@ -258,7 +262,8 @@ class RecordFiles(Generic[Content]):
 
 
 def _set_aside(path: Path, reason: _RefusedError) -> str:
-    """Rename a file and keep those that were set aside before; return what to log."""
+    """Rename a file that is not accepted. Files that were renamed earlier are kept. Return the text
+    for the log."""
     target = free_name(path, reason.word)
     try:
         path.rename(target)
@@ -268,10 +273,10 @@ def _set_aside(path: Path, reason: _RefusedError) -> str:
 
 
 class KeptRecord(Generic[Content]):
-    """A record with one slot: read at the start, written by a thread of its own.
+    """A record with one slot. It is read at the start and written by its own thread.
 
-    path: None reads and saves nothing. kind, read: see `RecordFiles`. title: name in the log. say:
-    function that takes a log line and its priority.
+    path: path of the file; with None, nothing is read or saved. kind, read: see `RecordFiles`.
+    title: name in the log. say: function that takes a log line and its priority.
     """
 
     def __init__(
@@ -283,7 +288,8 @@ class KeptRecord(Generic[Content]):
         say: Say,
     ) -> None:
         self.content: Content | None = None
-        """Content at the start; None: nothing was saved, or it was not acceptable."""
+        """Content of the saved record at the start. None if nothing was saved or the file was not
+        accepted."""
         self.problems: tuple[str, ...] = ()
         self.writer: StateWriter[Content] | None = None
         if path is None:
@@ -296,24 +302,25 @@ class KeptRecord(Generic[Content]):
         self.writer = StateWriter(files.save, title, say)
 
     def put(self, content: Content) -> None:
-        """Request that this is saved soon; never waits for the disk."""
+        """Request that `content` is saved soon. The call never waits for the disk."""
         if self.writer is not None:
             self.writer.put(content)
             self.writer.report()
 
     def close(self) -> None:
-        """Write pending content; waits for the disk, but not for long."""
+        """Write the waiting content. The call waits for the disk for at most `CLOSE_WAIT_S`."""
         if self.writer is not None:
             self.writer.close(CLOSE_WAIT_S)
             self.writer.report()
 
     def status(self) -> dict[str, Any] | None:
-        """Return saves, failures and the last error; None if nothing is saved."""
+        """Return the number of saves, the number of failures and the last error. None if this
+        record is not saved."""
         return None if self.writer is None else self.writer.status()
 
 
 def clear_unfinished(folder: Path) -> None:
-    """Remove files that a power cut left unfinished; only the folder's only user may do this."""
+    """Remove files that a power cut left unfinished. The caller must have locked the folder."""
     for path in folder.glob(f"*{UNFINISHED}"):
         with contextlib.suppress(OSError):
             path.unlink()

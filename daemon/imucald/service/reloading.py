@@ -1,4 +1,4 @@
-"""Reload of the configuration: prepared in a thread, applied in a turn of the loop."""
+"""Reload of the configuration. A thread reads the new configuration; the main loop applies it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from imucald.service.notify import Notifier
 Read = TypeVar("Read")
 
 LONG_S = 30.0
-"""A reload that takes longer than this [s] is reported: a large database is read within 10 s for
-each MB.
+"""A reload that takes longer than this is reported [s]. Reading a large database takes up to 10 s
+per MB.
 """
 
 
@@ -24,9 +24,9 @@ class Reloading(Generic[Read]):
 
     A failure is reported, and the running parts stay unchanged.
 
-    read: function that reads and parses, which may take long; it changes nothing that runs.
-    take_over: function that replaces the running parts by the new ones, all or none. clock:
-    monotonic [s].
+    read: function that reads and parses the configuration. It may take long, and it does not change
+    the running parts. take_over: function that replaces all running parts by the new parts, or none
+    of them. clock: monotonic [s].
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Reloading(Generic[Read]):
         self._is_waiting_reported = self._is_long_reported = False
 
     def ask(self) -> None:
-        """Reload soon; safe in a signal handler."""
+        """Request a reload. The call is safe in a signal handler."""
         self._is_requested = True
 
     def now(self) -> None:
@@ -55,7 +55,7 @@ class Reloading(Generic[Read]):
         self._end(Prepared.run_now(self._read))
 
     def poll(self) -> None:
-        """Start a requested reload in a thread; apply a reload that is prepared."""
+        """Start a requested reload in a thread. If a configuration has been read, apply it."""
         if self._preparing is None:
             if self._is_requested:
                 self._is_requested = False
@@ -70,7 +70,8 @@ class Reloading(Generic[Read]):
             self._report_hanging(self._clock() - self._began)
 
     def _report_hanging(self, seconds: float) -> None:
-        """Log, once each, that a reload waits for the previous one, and that one takes long."""
+        """Log that a reload takes long, or that a new reload waits for it. Each text is logged
+        once."""
         reading = f"the configuration is still being read after {seconds:.0f} s"
         if self._is_requested and not self._is_waiting_reported:
             self._is_waiting_reported = True
@@ -97,7 +98,7 @@ Result = TypeVar("Result")
 
 
 class Prepared(Generic[Result]):
-    """Result or exception of a function."""
+    """The result or the exception of a function that runs now or in a thread."""
 
     def __init__(self) -> None:
         self.is_done = False
@@ -113,7 +114,7 @@ class Prepared(Generic[Result]):
 
     @classmethod
     def run_in_thread(cls, work: Callable[[], Result]) -> Prepared[Result]:
-        """Call the function in a thread; if there is no thread, call it now."""
+        """Call the function in a thread. If no thread can be started, call the function now."""
         made = cls()
         try:
             threading.Thread(target=made._do, args=[work], name="prepare", daemon=True).start()
@@ -132,7 +133,7 @@ class Prepared(Generic[Result]):
     def result(self) -> Result:
         """Return the result of the function, or raise its exception.
 
-        Call this only when it is done.
+        The function must have ended before this call.
         """
         if self._error is not None:
             raise self._error

@@ -1,5 +1,5 @@
-"""Status of a running service: for `imucald status` (docs/service.md has the keys), as one line,
-and the resources of the process.
+"""Status of a running service: as JSON for `imucald status` (keys in docs/service.md), and as one
+line. The resources of the process are part of the status.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from imucald.service.calibration_store import CalibrationStore
 
 
 class InputRates:
-    """Samples per second of each channel, between two calls of `update`."""
+    """Number of samples per second of each channel, measured between two calls of `update`."""
 
     def __init__(self, now: float) -> None:
         self._rates: dict[str, float] = {}
@@ -33,7 +33,7 @@ class InputRates:
         self._at = now
 
     def update(self, counts: Mapping[str, int], now: float) -> None:
-        """Take the number of samples so far, by channel."""
+        """Update the rates. counts: number of samples so far, by channel. now: monotonic [s]."""
         span = max(now - self._at, 1e-9)
         self._rates = {c: (n - self._counted.get(c, 0)) / span for c, n in counts.items()}
         self._counted, self._at = dict(counts), now
@@ -44,7 +44,7 @@ class InputRates:
 
 
 def run_result(engine: Engine, link: Link) -> dict[str, Any]:
-    """Return the summary of the run (see docs/json.md), with the link's counters."""
+    """Return the summary of the run (keys in docs/json.md) with the counters of the link."""
     counts = RunCounts(link.counters.received, engine.router.used, engine.router.rejected)
     found = summary(engine, counts, engine.timebase.now)
     found["link"] = dataclasses.asdict(link.counters)
@@ -54,7 +54,8 @@ def run_result(engine: Engine, link: Link) -> dict[str, Any]:
 def running_status(
     engine: Engine, link: Link, rates: InputRates, store: CalibrationStore | None
 ) -> dict[str, Any]:
-    """Return the result so far, and the state of engine, bus, store and process."""
+    """Return the summary of the run so far, and the status of engine, bus, saved state and
+    process."""
     found = run_result(engine, link)
     for channel, row in found["signals"].items():
         row["rate_hz"] = round(rates.rate_of(channel), 3)
@@ -108,7 +109,8 @@ def status_line(estimate: MountEstimate, link: str) -> str:
 
 
 def _to_be_fine(estimate: MountEstimate) -> str:
-    """Return the judged deviations that are above their targets; empty if there are none."""
+    """Return a text with the mount errors that are too large for *fine*, and their limits; empty if
+    all errors are small enough."""
     std, targets = estimate.judged_std, estimate.targets
     if std is None or targets is None:
         return ""

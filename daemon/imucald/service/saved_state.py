@@ -1,4 +1,4 @@
-"""The saved state: the result of a drive, and the vehicle and sensor to which it belongs."""
+"""The saved state: the estimated mount, and the vehicle and sensor to which the mount belongs."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from imucald.service.records import LARGEST_NUMBER, RecordFiles
 
 KIND: Final = "imucald-state"
 ROTATION_TOLERANCE: Final = 1e-6
-"""Largest difference of a stored matrix from a rotation."""
+"""Largest accepted difference of a stored matrix from a rotation matrix."""
 LARGEST_VARIANCE: Final = 4.0
-"""Largest variance of an angle [rad^2]: more than that of an unknown angle is invalid."""
+"""Largest accepted variance of an angle [rad^2]. The variance of an unknown angle is smaller."""
 LONGEST_DOUBT: Final = 2000
-"""Largest length of the text of the doubt: all existing texts together."""
+"""Largest length of the text `doubt`. All existing texts together are shorter."""
 
 Number = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
 Matrix = Annotated[tuple[Number, ...], Meta(min_length=9, max_length=9)]
 
 
 class StateKey(Struct, frozen=True):
-    """Owner of a state: the vehicle's identity, and a hash of the sensor's definition."""
+    """Owner of a saved state: identity of the vehicle, and a hash of the sensor's definition."""
 
     vehicle: str
     sensor: str
 
     @property
     def file_name(self) -> str:
-        """A file name that is safe for any identity, and distinct for distinct keys."""
+        """A valid file name for any identity. Different keys have different file names."""
         readable = re.sub(r"[^A-Za-z0-9_-]+", "_", self.vehicle)[:24]
         digest = sha256(f"{self.vehicle}\0{self.sensor}".encode()).hexdigest()[:16]
         return f"{readable}-{digest}.state"
@@ -46,11 +46,11 @@ class SavedState(Struct, frozen=True):
 
     rotation: R_vehicle_from_sensor, nine numbers row by row. covariance: nine numbers [rad^2].
     state: "usable" or "fine". doubted: the mount was suspect when it was saved. saved_at: wall
-    clock [s], for people only. driven_s: driving time behind it [s]. offsets: offsets of sensors
-    and signals, SI. shifts: history of remounts, newest last. evidence: the evidence behind the
-    estimate, for people. Its key "sensor" holds what the estimator continues from
-    (`mount.joint.known`). held: nothing was learnt. given: a person
-    stated the mount. doubt: reason why it was suspect, in words.
+    clock [s], for people only. driven_s: driving time that the estimate uses [s]. offsets: offsets
+    of sensors and signals, SI. shifts: history of remounts, newest last. evidence: numbers about
+    the evidence, for people. Its key "sensor" contains the properties of the sensor with which the
+    estimator continues (`mount.joint.known`). held: the mount was held, so nothing was learnt.
+    given: a person stated the mount. doubt: the reason why the mount was suspect, in words.
     """
 
     rotation: Matrix
@@ -75,7 +75,8 @@ class StateStore(RecordFiles[SavedState]):
         super().__init__(folder, key.file_name, KIND, _state_from, owner, (".0", ".1"))
 
     def encoded(self, generation: int, content: SavedState) -> bytes:
-        """Return the bytes of a file; a doubt of any length can be read again."""
+        """Return the bytes of a file. A text `doubt` that is too long is cut, so that the file can
+        be read again."""
         return super().encoded(generation, replace(content, doubt=content.doubt[:LONGEST_DOUBT]))
 
 

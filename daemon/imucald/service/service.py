@@ -1,8 +1,8 @@
-"""The service around the loop: saved state, systemd, status, reload.
+"""The service around the main loop: saved state, systemd, status, reload.
 
-All of it runs in the loop's turns. The loop runs these tasks at least every `CHORE_S`, with or
-without bus traffic. The messages to systemd's watchdog therefore come only from the loop that
-corrects frames.
+The main loop runs all these tasks. It runs them at least every `CHORE_S`, with or without bus
+traffic. The messages to systemd's watchdog therefore show that the loop that corrects frames still
+runs.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from imucald.service.running_status import InputRates, run_result, running_statu
 from imucald.service.sockets import Sockets
 
 CHORE_S = 0.1
-"""Period of all tasks except frames [s]."""
+"""Period of all tasks except the handling of frames [s]."""
 SECOND_S = 1.0
-"""Period of rates and of the status line [s]."""
+"""Period for updating the sample rates and the status line [s]."""
 
 
 class Companion(Protocol):
-    """A child process that runs as long as the daemon."""
+    """A child process that runs as long as the daemon runs."""
 
     def poll(self) -> bool:
-        """Return whether the process has just ended by itself."""
+        """Return whether the process has ended by itself since the last call."""
         ...
 
     def close(self) -> None:
@@ -115,7 +115,8 @@ class Service:
     # starting ------------------------------------------------------------------------------
 
     def _locked_folder(self) -> FolderLock | None:
-        """Lock the state folder for this daemon; a folder that cannot be locked is still read."""
+        """Lock the state folder for this daemon. If the folder cannot be locked, the saved state is
+        still read."""
         folder = self.options.state_folder
         if folder is None:
             return None
@@ -137,9 +138,8 @@ class Service:
         return lock
 
     def _keep_locked(self) -> None:
-        """Lock the folder if it could not be locked before, or was deleted and made again.
-
-        Raises FolderInUseError if another daemon was faster; nothing is saved any more then.
+        """Lock the folder if it could not be locked before, or if it was deleted and created again.
+        Raises FolderInUseError if another daemon was faster; this daemon then saves nothing more.
         """
         try:
             if self._lock is None:
@@ -165,7 +165,7 @@ class Service:
 
     @property
     def loaded(self) -> LoadedConfig:
-        """The present configuration. A reload replaces it, as all `parts`."""
+        """The present configuration. A reload replaces it together with all other `parts`."""
         return self.parts.loaded
 
     @property
@@ -179,7 +179,7 @@ class Service:
         return self.parts.link
 
     def run(self, seconds: float = float("inf")) -> None:
-        """Loop until `stop`, or for so many seconds."""
+        """Run the loop until `stop` is called, for at most `seconds`."""
         self.journal.say(f"listening on {self.link.interface} {self.link.channel}")
         self._announcements.model(self.engine)
         self.notifier.ready()
@@ -195,22 +195,21 @@ class Service:
                     break
 
     def stop(self) -> None:
-        """End the loop soon; safe in a signal handler."""
+        """Request the end of the loop. The call is safe in a signal handler."""
         self.daemon.stop()
 
     def ask_reload(self) -> None:
-        """Request a reload of the configuration; safe in a signal handler."""
+        """Request a reload of the configuration. The call is safe in a signal handler."""
         self._reloading.ask()
 
     def reload(self) -> None:
-        """Read the configuration again; the estimate continues.
-
-        A wrong configuration changes nothing.
+        """Read the configuration again. The estimate continues. If the new configuration is wrong,
+        nothing changes.
         """
         self._reloading.now()
 
     def _take_over(self, read: tuple[LoadedConfig, Engine]) -> None:
-        """Replace the running parts by others; all of them, or none."""
+        """Replace all running parts by new parts, or none of them."""
         before = self.parts
         self.parts = now = self._maker.after(before, *read)
         self.daemon.engine, self.daemon.link = now.engine, now.link
@@ -221,7 +220,7 @@ class Service:
         self._announcements.model(now.engine)
 
     def _let_go(self, before: Parts, now: Parts) -> None:
-        """End the parts that were replaced; no failure reverses the replacement."""
+        """End the parts that were replaced. A failure here does not undo the replacement."""
         store, ends = before.calibration_store, list[Callable[[], None]]()
         if store is not None and store is not now.calibration_store:
             ends.append(store.end)
@@ -237,7 +236,7 @@ class Service:
                 self.journal.say(f"{text}: {error})", WARNING)
 
     def close(self) -> None:
-        """Save the state, release bus and socket."""
+        """Save the state, and close bus and sockets."""
         self.notifier.stopping()
         self.sockets.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
@@ -251,7 +250,7 @@ class Service:
         self._release()
 
     def _between(self) -> None:
-        """Show the watchdog and clients within a batch of frames that the loop runs."""
+        """Notify the watchdog and answer status clients during a long batch of frames."""
         now = self._clock()
         if now >= self._next_look:
             self._next_look = now + CHORE_S
@@ -306,13 +305,14 @@ class Service:
 
     @property
     def state_corrupt(self) -> bool | None:
-        """True if an invalid saved state was found, and none was saved since."""
+        """True if the saved state was invalid at the start and no state has been saved since then.
+        None if no state is kept."""
         store = self.parts.calibration_store
         return None if store is None else bool(store.problems) and not store.writer.saves
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; return whether there is one to repeat
-        (attitude).
+        """Repeat the sensor check of the attitude at the next standstill. Return whether there is a
+        sensor check.
         """
         is_there = repeat_check(self.engine)
         if is_there:
@@ -321,40 +321,41 @@ class Service:
 
     @property
     def sensors_checked(self) -> bool:
-        """True if the sensor check has been made."""
+        """True if the sensor check has been completed."""
         return is_checked(self.engine)
 
     def ask_sensor_check(self) -> None:
-        """Request the sensor check soon; safe in a signal handler."""
+        """Request the sensor check. The call is safe in a signal handler."""
         self._check_wanted = True
 
     def forget_state(self) -> str:
-        """Forget all that was saved; return why the disk does not take that now, or ""."""
+        """Forget the saved state. Return the reason if the disk cannot be changed now, or ""."""
         store = self.parts.calibration_store
         return "" if store is None else store.forget()
 
     @property
     def state_forgotten(self) -> bool:
-        """True if no forgotten state would return at another start."""
+        """True if the next start loads no forgotten state."""
         store = self.parts.calibration_store
         return store is None or store.store.is_forgotten
 
     def save_state(self) -> str:
-        """Save the present mount, held or not; return why the disk does not take it, or ""."""
+        """Save the present mount, also if it is held. Return the reason if the disk cannot be
+        written, or ""."""
         store, engine = self.parts.calibration_store, self.engine
         if store is None:
             return ""
         return store.save_order(engine.pipeline.estimator, engine.timebase.now)
 
     def log_order(self, who: str, text: str) -> None:
-        """Log the order, and the person who gave it."""
+        """Log an order and the person who gave the order."""
         if who == TESTER:  # may go on without end
             self.log_tester(f"{text} (by {who})")
         else:
             self.journal.say(f"{text} (by {who})", NOTICE)
 
     def log_tester(self, text: str) -> None:
-        """Log what a tester did."""
+        """Log an action of a diagnostic tester, at a limited rate."""
         self.journal.seldom(text.partition(":")[0], text, WARNING)
 
     # what it reports -----------------------------------------------------------------------
@@ -386,7 +387,8 @@ class Service:
         return found | {"flow": asdict(flow(found))}
 
     def _flow(self) -> Flow:
-        """Return what a receiver gets now, without the whole status."""
+        """Return the present kind of the corrected frames (`runtime.flow`). This is faster than
+        computing the whole status."""
         pipeline = self.engine.pipeline
         return flow(
             {

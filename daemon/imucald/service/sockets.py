@@ -1,4 +1,4 @@
-"""The status socket and the control socket next to it, served in the loop's turns."""
+"""The status socket and the control socket, served by the main loop."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from imucald.service.status import StatusServer
 
 
 class Sockets:
-    """Both sockets, if they can be made: nothing else depends on them.
+    """The status socket and the control socket. The daemon also works without them.
 
-    path: path of the status socket; None for neither. is_needed: raise LinkError if it cannot be
-    made. status: function that makes the status; history: see `StatusServer`.
+    path: path of the status socket; with None, there is no socket. is_needed: raise LinkError if
+    the status socket cannot be created. status: function that returns the status. history: see
+    `StatusServer`.
     """
 
     def __init__(
@@ -50,12 +51,13 @@ class Sockets:
             journal.say(f"{error}; continuing without it", WARNING)
 
     def poll_status(self) -> None:
-        """Serve the clients that only ask, also within a batch of frames."""
+        """Serve the clients of the status socket. This is also called during a long batch of
+        frames."""
         if self.status is not None:
             self.status.poll()
 
     def poll(self) -> None:
-        """Serve all clients that wait."""
+        """Serve the waiting clients of both sockets."""
         self.poll_status()
         if self.control is not None:
             self.control.poll()

@@ -1,4 +1,4 @@
-"""Check whether `imucald run` can start, without a bus."""
+"""Check without a bus whether `imucald run` could start."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from imucald.service.uds_on_bus import check_diagnostics
 
 
 def check_start(loaded: LoadedConfig) -> None:
-    """Raise the ConfigError with which `run` would end, if there is one."""
+    """Raise ConfigError if `run` would end with this error for the configuration."""
     engine = make_engine(loaded)
     if loaded.config.diagnostics.enabled:
         check_diagnostics(loaded, engine)

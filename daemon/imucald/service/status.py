@@ -1,8 +1,9 @@
-"""Status for people and programs: requested over a Unix socket, answered by the loop itself.
+"""Status for people and programs. Clients request it over a Unix socket, and the main loop answers.
 
-A client connects, sends one line and reads until the end. ``status`` gives JSON, ``events`` the
-last events as JSON, ``history`` (or ``history SINCE``) the last half hour, ``metrics`` Prometheus
-text, and ``GET /metrics HTTP/1.1`` the same text as a web server would send it.
+A client connects, sends one line and reads until the end. The line ``status`` gives JSON,
+``events`` gives the last events as JSON, ``history`` (or ``history SINCE``) gives the last half
+hour, and ``metrics`` gives Prometheus text. ``GET /metrics HTTP/1.1`` gives the same text as an
+HTTP response.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from imucald.service.background_writer import Say
 from imucald.service.line_server import LineServer, nobody_listens
 
 READABLE_BY_ALL = 0o666
-"""Permissions of the socket: it answers questions and takes no orders."""
+"""Permissions of the status socket. All users may use it, because it accepts no orders."""
 
 
 class StatusServer(LineServer):
     """Answers on a Unix socket that all users may read.
 
-    status: function that makes the status on request; events: the last events; history: function
-    that returns the last half hour after a time of day, as JSON. say: see `LineServer`. Raises
-    LinkError when the socket cannot be made.
+    status: function that returns the status; events: the last events; history: function that
+    returns the rows of the last half hour after a given time of day, as JSON. say: see
+    `LineServer`. Raises LinkError when the socket cannot be made.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class StatusServer(LineServer):
 
 
 def status_json(status: Mapping[str, Any]) -> str:
-    """Return one JSON object on one line."""
+    """Return the status as one line of JSON."""
     return json_text(status) + "\n"
 
 
@@ -77,7 +78,7 @@ def _http(code: str, body: bytes) -> bytes:
 
 
 def since(text: str) -> float:
-    """Return a time of day [s]; a time before all others if the text is none."""
+    """Convert a text to a time of day [s]. Return minus infinity if the text is not a number."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The running calibration as the diagnostic server uses it."""
+"""The interface between the running calibration and the diagnostic server (UDS)."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.uds.host import FrameCounts, Identity, Symptoms
 
 SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
-"""A speed counts as known if a sample came within this time: for sources of one sample per
-second.
+"""A speed counts as known if its last sample is at most this old [ticks]. The time is two seconds,
+because some sources send one sample per second.
 """
 STANDING_SPEED: Final = 0.1
-"""A vehicle below this speed stands [m/s]: it is less than the first step of a coarse speed
-signal.
+"""A vehicle counts as standing below this speed [m/s]. The value is smaller than the resolution of
+a coarse speed signal.
 """
 START_S: Final = 2.0
-"""Time from the start before which no input is missing [s]."""
+"""During this time after the start, no input is reported as missing [s]."""
 
 
 class RunningService(Protocol):
-    """Service that runs the calibration; its engine and configuration change at a reload."""
+    """The service that runs the calibration. A reload replaces its engine and its configuration."""
 
     @property
     def engine(self) -> Engine:
@@ -53,12 +53,12 @@ class RunningService(Protocol):
 
     @property
     def state_corrupt(self) -> bool | None:
-        """True if an invalid saved state was found; None if no state is kept."""
+        """True if the saved state was invalid; None if no state is kept."""
         ...
 
     @property
     def state_forgotten(self) -> bool:
-        """True if no forgotten state would return at another start."""
+        """True if the next start loads no forgotten state."""
         ...
 
     @property
@@ -67,21 +67,23 @@ class RunningService(Protocol):
         ...
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; return whether there is one to repeat."""
+        """Repeat the sensor check at the next standstill. Return whether there is a sensor
+        check."""
         ...
 
     @property
     def sensors_checked(self) -> bool:
-        """True if the sensor check has been made."""
+        """True if the sensor check has been completed."""
         ...
 
     def log_tester(self, text: str) -> None:
-        """Log what a tester did; such lines may come without end."""
+        """Log an action of a tester. The rate of these lines is limited, because a tester may
+        repeat an action without end."""
         ...
 
 
 class LiveHost:
-    """The running calibration as the server uses it. See `uds.host.Host`."""
+    """Implements `uds.host.Host` with the running calibration."""
 
     def __init__(self, service: RunningService, clock: Callable[[], float]) -> None:
         self._service = service
@@ -92,7 +94,7 @@ class LiveHost:
 
     @property
     def identity(self) -> Identity:
-        """Software, vehicle and configuration."""
+        """Identity of software, vehicle and configuration."""
         loaded = self._service.loaded
         if self._known_as is None or self._known_as[0] is not loaded:
             made = Identity(__version__, loaded.config.vehicle.id, configuration_identity(loaded))
@@ -101,12 +103,13 @@ class LiveHost:
 
     @property
     def quality(self) -> int:
-        """Quality of the present correction."""
+        """Quality of the present correction, as in the output frames."""
         return self._service.engine.pipeline.quality
 
     @property
     def standing(self) -> bool | None:
-        """True if the vehicle stands, by a speed at most two seconds old."""
+        """True if the vehicle stands, according to the last speed. None if the speed is older than
+        two seconds or missing."""
         pipeline = self._service.engine.pipeline
         if pipeline.speed is None:
             return None
@@ -119,9 +122,7 @@ class LiveHost:
         return self._clock() - self._began
 
     def estimate(self) -> MountEstimate:
-        """Return the present state of knowledge; computed once a tick, however often it is
-        requested.
-        """
+        """Return the present mount estimate. The estimate is computed at most once per tick."""
         pipeline = self._service.engine.pipeline
         known = self._estimate
         if known is None or known[0] is not pipeline.estimator or known[1] != pipeline.k:
@@ -130,7 +131,7 @@ class LiveHost:
         return known[2]
 
     def counts(self) -> FrameCounts:
-        """Counters of engine and link."""
+        """Return the frame counters of engine and link."""
         engine, link = self._service.engine, self._service.link_counters
         rejected = engine.router.rejected
         return FrameCounts(
@@ -177,40 +178,42 @@ class LiveHost:
         )
 
     def begin_calibration(self) -> None:
-        """Restart and keep the former estimator for a return."""
+        """Start the calibration again. The old estimator is kept for `return_to_former`."""
         self._service.orders.begin(TESTER)
 
     def return_to_former(self) -> bool:
-        """Use the former estimator again, unless it was made for other settings."""
+        """Use the old estimator again. Return False if the settings have changed since then."""
         return self._service.orders.return_to_former(TESTER)
 
     def accept_calibration(self) -> None:
-        """Drop the former estimator."""
+        """Drop the old estimator."""
         self._service.orders.accept()
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest; return whether there is one to repeat."""
+        """Repeat the sensor check at the next standstill. Return whether there is a sensor
+        check."""
         return self._service.check_sensors()
 
     @property
     def sensors_checked(self) -> bool:
-        """True if the sensor check has been made."""
+        """True if the sensor check has been completed."""
         return self._service.sensors_checked
 
     def forget(self) -> None:
-        """Restart and forget all that was saved."""
+        """Start the calibration again, and forget the saved state."""
         self._service.orders.reset(TESTER)
 
     @property
     def is_forgotten(self) -> bool:
-        """True if no forgotten state would return at another start."""
+        """True if the next start loads no forgotten state."""
         return self._service.state_forgotten
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:
-    """Return 32 bytes (SHA-256) over the present settings and the databases that they name.
+    """Return a SHA-256 (32 bytes) of the present settings and the databases.
 
-    Defaults count as if they were written in the file; comments and the order of keys do not count.
+    A default has the same effect as the same value in the file. Comments and the order of keys have
+    no effect.
     """
     digest = hashlib.sha256()
     settings = {k: v for k, v in to_builtins(loaded.config).items() if k != "database"}

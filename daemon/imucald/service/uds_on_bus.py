@@ -1,7 +1,7 @@
-"""Diagnostics on the bus: the server of `imucald.uds` on the running daemon.
+"""Diagnostics on the bus: the server of `imucald.uds` in the running daemon.
 
-Off by default. The loop passes the frames of the request ids and sends the answers; see
-`live.Extra`.
+Diagnostics are switched off by default. The main loop passes the frames with the request ids to the
+server and sends the answers; see `live.Extra`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ TRANSPORT_COUNTERS: Final = (
 
 
 class BusUds:
-    """Server, transport and DTCs of one daemon. A `live.Extra`."""
+    """Diagnostic server, transport protocol and DTCs of one daemon. The class implements
+    `live.Extra`."""
 
     def __init__(
         self,
@@ -91,7 +92,7 @@ class BusUds:
 
     @property
     def matches(self) -> list[IdMatch]:
-        """The ids of the tester's frames in the form for the bus link."""
+        """The filters of the tester's frames for the bus link."""
         return [
             IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in sorted(self.ids)
         ]
@@ -103,15 +104,15 @@ class BusUds:
 
     @property
     def wait(self) -> float:
-        """The time until the next `poll` must come [s]."""
+        """The longest time until the next call of `poll` [s]."""
         return min(self.channel.wait, JUDGE_S)
 
     def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
-        """Take a frame of one of `ids`; return the frames to send."""
+        """Handle a frame with one of `ids`. Return the frames to send."""
         return self.channel.frame(can_id, data)
 
     def poll(self) -> list[OutFrame]:
-        """Let time pass; return the frames to send."""
+        """Handle time-outs and test the DTCs. Return the frames to send."""
         now = self._clock()
         if now >= self._next_judgement:
             self._next_judgement = now + JUDGE_S
@@ -144,7 +145,8 @@ class BusUds:
 
     @staticmethod
     def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
-        """Raise ConfigError if a diagnostic id is also an input or output of an engine."""
+        """Raise ConfigError if a diagnostic id is also the id of an input or output of the
+        engine."""
         _check_identifiers(loaded, engine)
 
     def _transport_counted(self) -> bytes:
@@ -164,8 +166,8 @@ def bus_uds_for(
 ) -> BusUds:
     """Return the diagnostics of a configuration.
 
-    service: used only later, when it runs. dtcs, keys: an existing memory and an existing count.
-    Raises ConfigError with the place of a mistake.
+    service: used only after the start. dtcs, keys: the existing memory of DTCs and the existing
+    count of wrong keys, if any. Raises ConfigError with the place of a mistake.
     """
     config = loaded.config.diagnostics
     key_function = checked_key_function(loaded, engine)
@@ -183,7 +185,8 @@ def check_diagnostics(loaded: LoadedConfig, engine: Engine) -> None:
 
 
 def checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | None:
-    """Return the function that checks a tester's key, once the identifiers are known to be free."""
+    """Return the function that checks a tester's key; None if there is none. Raises ConfigError if
+    an identifier of the diagnostics is already used."""
     _check_identifiers(loaded, engine)
     name = loaded.config.diagnostics.security.key_function
     return None if name is None else _load_key_function(loaded, name)

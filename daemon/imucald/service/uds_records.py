@@ -1,8 +1,9 @@
-"""Saved records of the diagnostics: DTCs, and wrong keys in a row.
+"""Saved records of the diagnostics: DTCs, and the number of successive wrong keys.
 
-The DTCs only tell a workshop what to examine; no function depends on them. An invalid record is
-started from nothing. The number of wrong keys is saved so that a restart gives no new attempts. A
-missing record counts as no wrong key, an invalid one as one wrong key, which costs the delay.
+The DTCs are information for a workshop; no function depends on them. If the record of DTCs is
+invalid, the memory starts empty. The number of wrong keys is saved, so that a restart does not
+allow new attempts. A missing record counts as no wrong key. An invalid record counts as one wrong
+key, which starts the delay.
 """
 
 from __future__ import annotations
@@ -20,23 +21,24 @@ from imucald.service.records import KeptRecord
 from imucald.uds.dtc_memory import DtcMemory
 
 DTC_KIND: Final = "imucald-troubles"
-"""The word is older than the name of the memory; existing files begin with it."""
+"""First word of the files with DTCs. The word cannot change, because existing files begin with
+it."""
 KEYS_KIND: Final = "imucald-keys"
 PERIOD_S: Final = 10.0
-"""Shortest time between writes of changed codes [s]: a flapping input does not wear out the
-disk.
+"""Shortest time between writes of changed codes [s]. An input that fails repeatedly therefore does
+not wear out the disk.
 """
 MAX_WRONG: Final = 255
 
 
 class WrongKeys(Struct, frozen=True):
-    """wrong: wrong keys in a row."""
+    """Content of the record. wrong: number of successive wrong keys."""
 
     wrong: Annotated[int, Meta(ge=0, le=MAX_WRONG)]
 
 
 class AttemptStore(KeptRecord[WrongKeys]):
-    """Wrong keys in a row of one daemon. path: None saves nothing.
+    """The number of successive wrong keys of one daemon. With path None, nothing is saved.
 
     say: function that takes a log line and its priority.
     """
@@ -45,12 +47,12 @@ class AttemptStore(KeptRecord[WrongKeys]):
         title = "the count of wrong keys"
         super().__init__(path, KEYS_KIND, lambda record: convert(record, WrongKeys), title, say)
         self.wrong = int(bool(self.problems)) if self.content is None else self.content.wrong
-        """Wrong keys in a row, as saved."""
+        """The saved number of successive wrong keys."""
         if self.problems:
             say("one wrong key is assumed", WARNING)
 
     def put_count(self, wrong: int) -> None:
-        """Request that another number is saved; never waits for the disk."""
+        """Request that the number `wrong` is saved. The call never waits for the disk."""
         self.wrong = wrong
         self.put(WrongKeys(min(wrong, MAX_WRONG)))
 
@@ -58,8 +60,8 @@ class AttemptStore(KeptRecord[WrongKeys]):
 class DtcStore(KeptRecord[dict[str, Any]]):
     """The DTC memory of one daemon, restored at the start and written when it changes.
 
-    path: None saves nothing. say: function that takes a log line and its priority. clock: monotonic
-    [s].
+    With path None, nothing is saved. say: function that takes a log line and its priority. clock:
+    monotonic [s].
     """
 
     def __init__(
@@ -73,12 +75,12 @@ class DtcStore(KeptRecord[dict[str, Any]]):
         self._written = self.memory.saved()
 
     def update(self) -> None:
-        """Request that changed codes are written; never waits for the disk."""
+        """Request that changed codes are written. The call never waits for the disk."""
         if self._clock() >= self._next:
             self._put_changes()
 
     def close(self) -> None:
-        """Write the last changes; waits for the disk, but not for long."""
+        """Write the last changes. The wait for the disk is limited."""
         self._put_changes()
         super().close()
 

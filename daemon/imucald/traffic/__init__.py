@@ -1,1 +1,2 @@
-"""Send a simulated drive as CAN traffic, with frames of other units, to a log or a bus."""
+"""Send a simulated drive to a log or a bus as CAN traffic. The traffic may include frames of other
+units."""

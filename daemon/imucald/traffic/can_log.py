@@ -1,4 +1,5 @@
-"""A drive on the bus: frames in order, as columns, one by one, or as a candump log."""
+"""Make the frames of a drive in the order on the bus: as columns, one by one, or as a candump
+log."""
 
 from __future__ import annotations
 
@@ -18,10 +19,11 @@ from imucald.traffic.other_units import arbitrated, background, joined
 EPOCH_S = 1_600_000_000.0
 """Default time stamp of the start of a drive [UNIX s]."""
 BLOCK_S = 30.0
-"""Length of a block of frames [s]. With blocks, background traffic does not increase memory."""
+"""Length of a block of frames [s]. Because of the blocks, background traffic does not increase the
+memory."""
 
 Progress = Callable[[float], None]
-"""Callback for progress. Argument: written time of the drive [s]."""
+"""Callback for progress. Argument: time in the drive up to which frames are written [s]."""
 
 
 def bus_frames(
@@ -29,7 +31,8 @@ def bus_frames(
 ) -> Iterator[FrameColumns]:
     """Yield the frames of a drive in bus order, block by block; t is in seconds since its start.
 
-    Each channel of the recording is a separate bus. The traffic of other units is on the first.
+    Each channel of the recording is a separate bus. The traffic of other units is on the first
+    channel.
     """
     ours = joined(list(encoder.frames(drive)))
     ours = ours.take(np.argsort(ours.t, kind="stable"))
@@ -69,7 +72,8 @@ def write_log(
     progress: Progress | None = None,
     start_s: float = EPOCH_S,
 ) -> int:
-    """Write a drive as a candump log; return the number of frames. Raises LogError on failure.
+    """Write a drive as a candump log. Return the number of frames. Raises LogError if the log
+    cannot be written.
 
     start_s: time stamp of the start [UNIX s].
     """

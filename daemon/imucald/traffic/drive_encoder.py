@@ -1,4 +1,4 @@
-"""Encode samples to frames with the configuration that decodes them.
+"""Encode samples to frames with the configuration that is used to decode the frames.
 
 The routes of `inputs.wiring` define the signal, unit, counter and checksum of each quantity. This
 module uses the same routes in the reverse direction. Therefore a simulated log can be written in
@@ -29,7 +29,7 @@ from imucald.simulation.drive import Drive
 from imucald.simulation.timing import frame_timing
 
 CHANNEL = "can0"
-"""Channel of a recording if the configuration names none."""
+"""Name of the recorded channel if the configuration names no channel."""
 
 
 def example_config() -> LoadedConfig:
@@ -104,7 +104,8 @@ def _message_frames(route: MessageRoute, drive: Drive) -> FrameColumns | None:
 def _tap_columns(
     route: MessageRoute, tap: Tap, drive: Drive
 ) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield the physical values of a tap's signals, one for each sample of its channel."""
+    """Yield name and physical values of each signal of a tap. There is one value for each sample of
+    the channel."""
     series = drive.samples[tap.channel]
     for component, slot in zip(tap.components, tap.slots, strict=True):
         name = route.plan.signal_names[component.index]
@@ -122,7 +123,8 @@ def _tap_columns(
 
 
 def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:
-    """Return the sign for a speed signal that is negative in reverse."""
+    """Return -1 in reverse and 1 otherwise, for each sample of `series`. A speed signal that is
+    negative in reverse is multiplied by this sign."""
     reverse = drive.samples.get("reverse")
     if reverse is None or not len(reverse.t):
         return np.ones(len(series.t))
@@ -132,7 +134,8 @@ def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:
 
 
 def _physical(conversion: Conversion, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert SI to the database's physical value, the inverse of `conversion.Conversion`."""
+    """Convert values in SI to physical values of the database. This is the inverse of
+    `conversion.Conversion`."""
     if conversion.unit.dimension == "flag":
         return _flag_values(conversion, values)
     unit = conversion.unit
@@ -168,7 +171,8 @@ def _clipped(signal: Signal, values: NDArray[np.float64]) -> NDArray[np.float64]
 def _protected(
     route: MessageRoute, drive: Drive, leader: str, data: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Add counter and checksum. Lost frames are counted too, because the sender cannot see them."""
+    """Add counter and checksum to frames. The counter also increases for lost frames, because the
+    sender does not know that they are lost."""
     spec = route.checker.spec
     if spec.counter is None and spec.checksum is None:
         return data

@@ -13,19 +13,21 @@ from imucald.core.arrays import Array
 from imucald.simulation.filters import generator
 
 STANDARD_BITS = 47
-"""Bits of a data frame with 11-bit id, without payload, with the gap to the next frame."""
+"""Number of bits of a data frame with an 11-bit id: without payload, with the gap to the next
+frame."""
 EXTENDED_BITS = 67
 STUFFING = 1.1
-"""Average factor for stuff bits."""
+"""Average factor by which stuff bits lengthen a frame."""
 CYCLES_S = (0.01, 0.02, 0.05, 0.1, 1.0)
 CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
-"""Share of the messages of a real bus with each cycle."""
+"""Shares of the messages of a real bus, one share for each cycle time."""
 
 
 def background(
     seed: int, frames_per_s: float, avoid: frozenset[int], start_s: float, stop_s: float
 ) -> FrameColumns:
-    """Return frames of other units in [start_s, stop_s). Messages do not depend on the interval."""
+    """Return the frames of other units in the interval [start_s, stop_s). The messages (ids,
+    cycles) do not depend on the interval."""
     rng = generator(seed, "background")
     cycles: list[float] = []
     while sum(1.0 / c for c in cycles) < frames_per_s:
@@ -65,7 +67,8 @@ def _moments(
 
 
 def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> FrameColumns:
-    """Send frames over one bus. Frames do not overlap; of waiting frames, the lowest id is first.
+    """Compute the times at which frames are sent on one bus. Frames do not overlap. Of several
+    waiting frames, the frame with the lowest id is sent first.
 
     frames: in any order; t is the time of the send request. busy_until: time when the bus becomes
     free [s]. In the result, t is the end of each frame, when receivers record its time stamp.
@@ -85,7 +88,8 @@ def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> Frame
 
 
 def _ends(request: Array, duration: Array, busy_until: float) -> Array:
-    """Return frame ends in a first-come queue: end[k] = max(request[k], end[k-1]) + duration[k]."""
+    """Return the ends of frames that are sent in the order of their requests: end[k] =
+    max(request[k], end[k-1]) + duration[k]."""
     total = np.cumsum(duration)
     slack = np.maximum.accumulate(np.maximum(request, busy_until) - (total - duration))
     ends: Array = slack + total
@@ -95,7 +99,8 @@ def _ends(request: Array, duration: Array, busy_until: float) -> Array:
 def _in_order_of_priority(
     request: Array, duration: Array, priority: NDArray[np.int64], end: Array
 ) -> NDArray[np.intp]:
-    """Return indices (N,) in sending order. end: frame ends for first come, first served."""
+    """Return the indices (N,) of the frames in the order of sending. end: ends of the frames if
+    they were sent in the order of their requests."""
     result = np.arange(len(request))
     starts = (end - duration).tolist()
     waits, lengths, ranks = request.tolist(), duration.tolist(), priority.tolist()
@@ -109,8 +114,9 @@ def _contested(
 ) -> list[tuple[int, int]]:
     """Return the busy periods in which priority changes the order, as ranges of frames.
 
-    The order changes exactly if a frame is followed directly by one that was already waiting and
-    has priority. This test of neighbours also finds all later frames with priority.
+    The order changes if and only if the directly following frame was already waiting and has a
+    higher priority. This test of neighbouring frames also finds busy periods in which only later
+    frames have a higher priority.
     """
     if len(request) < 2:
         return []
@@ -151,7 +157,8 @@ def _durations(frames: FrameColumns, bitrate: float) -> Array:
 
 
 def _priority(can_id: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """Return the arbitration rank: the first 11 bits decide, then the standard frame wins."""
+    """Return the arbitration rank of ids. The first 11 bits are compared first; if they are equal,
+    a frame with an 11-bit id wins."""
     extended = (can_id & CAN_EFF_FLAG) != 0
     number = (can_id & 0x1FFF_FFFF).astype(np.int64)
     result: NDArray[np.int64] = np.where(extended, (number << 1) | 1, number << 19)

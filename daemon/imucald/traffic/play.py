@@ -22,7 +22,7 @@ class FrameSink(Protocol):
         """Send one frame. Return whether it was accepted."""
 
     def receive(self, timeout: float) -> object:
-        """Wait. Meanwhile, the link maintains its connection."""
+        """Wait for `timeout` [s]. During this time, the link maintains its connection."""
 
 
 def play(
@@ -34,9 +34,10 @@ def play(
     progress: Progress | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> int:
-    """Send a drive's frames at their times, `speed` times as fast. Return the accepted number.
+    """Send the frames of a drive at their times, `speed` times as fast. Return the number of
+    accepted frames.
 
-    speed: 1 is real time. A frame that the bus does not accept is lost, as on a real bus.
+    speed: 1 means real time. A frame that the bus does not accept is lost, as on a real bus.
     """
     began = clock()
     accepted, reported = 0, 0.0

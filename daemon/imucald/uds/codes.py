@@ -19,7 +19,7 @@ class Sid(enum.IntEnum):
 
 
 class Nrc(enum.IntEnum):
-    """Why a request is refused (negative response code)."""
+    """Reasons for refusing a request (negative response codes)."""
 
     SERVICE_NOT_SUPPORTED = 0x11
     SUB_FUNCTION_NOT_SUPPORTED = 0x12
@@ -49,9 +49,9 @@ EXTENDED_ONLY: Final = frozenset({Session.EXTENDED})
 NEGATIVE: Final = 0x7F
 """First byte of a negative response."""
 POSITIVE: Final = 0x40
-"""Added to the service's number in a positive response. This bit is 0 in every request."""
+"""Number that is added to the service id in a positive response. This bit is 0 in every request."""
 SUPPRESS: Final = 0x80
-"""Bit of a sub-function: the positive response is suppressed."""
+"""Bit of a sub-function with which the tester suppresses the positive response."""
 
 Answer = bytes | Nrc
-"""Answer of a service: the response without the service's number, or the negative code."""
+"""Answer of a service: the response without the service id, or the negative response code."""

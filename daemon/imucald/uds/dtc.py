@@ -25,7 +25,7 @@ class Dtc:
 
     @property
     def display(self) -> str:
-        """The code in the form of a tester, such as "C1A10-54"."""
+        """The code as a tester shows it, such as "C1A10-54"."""
         kind = "PCBU"[self.number >> 22]
         return f"{kind}{self.number >> 8 & 0x3FFF:04X}-{self.number & 0xFF:02X}"
 
@@ -35,8 +35,8 @@ FAULTS: Final = {
     "stuck": (0x2A, "one or more of its axes repeat the same value"),
     "implausible": (0x64, "its values are impossible for a road vehicle, or its unit is wrong"),
 }
-"""Faults of sensors: failure type (signal amplitude above its maximum, signal stuck in range,
-signal plausibility failure), and its meaning."""
+"""Faults of sensors, each with its failure type and its meaning. The failure types are: signal
+amplitude above maximum, signal stuck in range, signal plausibility failure."""
 FAULTY: Final = {
     sensor: {
         fault: Dtc(code << 8 | kind, f"{sensor}_{fault}", meaning)

@@ -69,9 +69,10 @@ _MISSING: Mapping[str, Dtc] = {
 
 
 class FaultRate:
-    """Tests an increasing counter of faults: `limit` faults in the window fail, no fault passes.
+    """A test with a counter of faults. The test fails if there are `limit` faults in the window,
+    and passes if there is no fault.
 
-    With fewer faults, or before the first frame, the result is None.
+    With fewer than `limit` faults, or before the first frame, there is no result (None).
     """
 
     def __init__(self, limit: int) -> None:
@@ -81,7 +82,8 @@ class FaultRate:
         self._alive_since: float | None = None
 
     def judge(self, now: float, total: int, alive: bool) -> bool | None:
-        """Return whether the test fails. total: the counter. alive: whether frames arrived."""
+        """Return the result of the test: True means failed. total: value of the counter. alive:
+        True if frames arrived."""
         self._recent.extend([now] * min(max(total - self._total, 0), self._limit))
         self._total = total
         if len(self._recent) == self._limit and now - self._recent[0] < WINDOW_S:
@@ -95,7 +97,7 @@ class FaultRate:
         return False if now - quiet_since >= WINDOW_S else None
 
     def forget(self) -> None:
-        """Ignore all faults before now."""
+        """Ignore all faults so far."""
         self._recent.clear()
 
 
@@ -127,7 +129,7 @@ class DtcRecord:
         self.failing_since = None
 
     def new_cycle(self) -> None:
-        """Begin a new run."""
+        """Begin a new operation cycle."""
         failed = bool(self.status & DtcStatus.FAILED_THIS_CYCLE)
         completed = not self.status & DtcStatus.NOT_COMPLETED_THIS_CYCLE
         if completed and not failed:
@@ -144,7 +146,7 @@ class DtcRecord:
 
 @dataclass
 class DtcMemory:
-    """The memory of all codes. `update` is called several times per second with the symptoms."""
+    """The memory of all DTCs. `update` is called several times per second with the symptoms."""
 
     _records: dict[int, DtcRecord] = field(
         default_factory=lambda: {t.number: DtcRecord() for t in DTCS}
@@ -168,7 +170,8 @@ class DtcMemory:
         return self._records.get(number)
 
     def clear(self, number: int | None = None) -> None:
-        """Clear one code, or all. A test that still fails sets its code again."""
+        """Clear one code, or all codes if number is None. A test that still fails sets its code
+        again."""
         for key in self._records if number is None else (number,):
             self._records[key] = DtcRecord()
             if key in self._rates:
@@ -214,14 +217,14 @@ class DtcMemory:
     # over restarts ---------------------------------------------------------------------------
 
     def saved(self) -> dict[str, Any]:
-        """Return the data to keep over a restart, in a form for JSON."""
+        """Return the data to save for the next start, as plain data for JSON."""
         return {
             f"{number:06X}": [int(r.status), r.occurrences, r.aged]
             for number, r in self._records.items()
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Restore data of `saved` from an earlier cycle. Invalid data are ignored."""
+        """Restore data that `saved` returned in an earlier run. Invalid data are ignored."""
         for number, record in self._records.items():
             kept = _kept(saved.get(f"{number:06X}"))
             if kept is not None:

@@ -31,7 +31,7 @@ class ClearDtcs:
         self._memory = memory
 
     def answer(self, data: bytes) -> Answer:
-        """Clear all codes, or one."""
+        """Answer a request to clear all codes or one code."""
         if len(data) != 3:
             return Nrc.INCORRECT_LENGTH
         number = int.from_bytes(data, "big")

@@ -1,4 +1,4 @@
-"""The interface of a calibration for the UDS server: data to read and actions."""
+"""The interface between a calibration and the UDS server: data to read, and actions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Symptoms:
 
 
 class Host(Protocol):
-    """One calibration on one bus."""
+    """Interface of one calibration on one bus."""
 
     @property
     def identity(self) -> Identity:
@@ -75,7 +75,7 @@ class Host(Protocol):
 
     @property
     def uptime(self) -> float:
-        """Seconds since the start."""
+        """Time since the start [s]."""
         ...
 
     def estimate(self) -> MountEstimate:
@@ -87,19 +87,21 @@ class Host(Protocol):
         ...
 
     def begin_calibration(self) -> None:
-        """Start a new calibration. The former one is kept for `return_to_former`."""
+        """Start a new calibration. The former calibration is kept for `return_to_former`."""
         ...
 
     def return_to_former(self) -> bool:
-        """Return to the kept calibration. Return whether it still fits."""
+        """Use the former calibration again. Return False if this is not possible because the
+        settings have changed."""
         ...
 
     def accept_calibration(self) -> None:
-        """Accept the new calibration, and delete the kept one."""
+        """Accept the new calibration, and delete the former calibration."""
         ...
 
     def check_sensors(self) -> bool:
-        """Repeat the sensor check at the next rest. Return whether there is a check to repeat."""
+        """Repeat the sensor check at the next standstill. Return whether there is a sensor
+        check."""
         ...
 
     @property
@@ -108,7 +110,7 @@ class Host(Protocol):
         ...
 
     def forget(self) -> None:
-        """Start a new calibration, and delete the former one and the saved state."""
+        """Start a new calibration, and delete the former calibration and the saved state."""
         ...
 
     @property

@@ -1,6 +1,7 @@
 """Read data by identifier (service 0x22): the identifiers and the format of their data.
 
-Numbers are big endian, as everywhere in ISO 14229. An unknown value has a special raw value.
+Numbers are big endian, as everywhere in ISO 14229. A special raw value means that a value is
+unknown.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from imucald.uds.host import Host
 MAX_IDENTIFIERS = 16
 """Largest number of identifiers in a request. The limit bounds the work and the response."""
 MAX_RESPONSE = 512
-"""Longest response [bytes]. A request for a longer one is refused."""
+"""Longest response [bytes]. A request for a longer response is refused."""
 VIN_BYTES = 17
 
 ANGLE_NOT_KNOWN = -0x8000
@@ -40,19 +41,21 @@ COUNTED_FAULTS = (
     "saturated",
     "out_of_range",
 )
-"""Reasons in the order of the identifier that shows their counts."""
+"""Reasons for rejecting frames, in the order in which their counts are in the identifier's data."""
 
 
 @dataclass(frozen=True)
 class Identifier:
-    """A data identifier: its name, and a function for its bytes (None: not supported now)."""
+    """A data identifier: its name, and a function that returns its data bytes (None: not supported
+    now)."""
 
     name: str
     read: Callable[[Host], bytes | None]
 
 
 def _angles(host: Host) -> bytes:
-    """Return the angles as in the mount frame, only while a correction is active."""
+    """Return the mount angles in the format of the mount frame. The angles are unknown while no
+    correction is active."""
     angles = host.estimate().angles if host.quality else None
     raw = (ANGLE_NOT_KNOWN,) * 3 if angles is None else [_angle(a) for a in angles]
     return struct.pack(">3h", *raw)
@@ -64,8 +67,8 @@ def _angle(value: float) -> int:
 
 
 def _deviations(host: Host) -> bytes:
-    """Return the deviations, also before a correction is usable. The deviations show the
-    progress."""
+    """Return the deviations of the mount angles, also before a correction is usable, because they
+    show the progress."""
     std = host.estimate().std
     raw = (DEVIATION_NOT_KNOWN,) * 3 if std is None else [_deviation(s) for s in std]
     return struct.pack(">3H", *raw)
@@ -132,7 +135,7 @@ IDENTIFIERS: Mapping[int, Identifier] = {
 
 
 class ReadData:
-    """Service 0x22. own: identifiers that the server itself answers."""
+    """Service 0x22. own: identifiers whose data the server itself provides."""
 
     def __init__(self, host: Host, own: Mapping[int, Identifier]) -> None:
         self._host = host

@@ -1,4 +1,4 @@
-"""ISO-TP (ISO 15765-2) in the daemon's loop: process frames without a thread, with limits.
+"""ISO-TP (ISO 15765-2) in the daemon's loop. Frames are processed without a thread and with limits.
 
 The package `can-isotp` handles the segments. Every received frame may be hostile. Therefore the
 number of processed frames, the length of requests and responses, and their duration are limited.
@@ -16,20 +16,21 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK
 from imucald.core.libraries import standing_in
 
 MAX_REQUEST: Final = 128
-"""Longest request [bytes]: twice the longest valid one. Longer requests get the answer
-"overflow"."""
+"""Longest request [bytes]: twice the length of the longest valid request. For a longer request, the
+flow control frame states "overflow"."""
 FRAMES_PER_SECOND: Final = 500.0
 """Largest average rate of processed frames [1/s]. The limit is much more than a tester sends."""
 FRAMES_AT_ONCE: Final = 200.0
 """Largest burst of processed frames."""
 SEND_WINDOW_S: Final = 0.05
 FRAMES_PER_WINDOW: Final = 16
-"""Frames sent per window. These frames fit the interface's queue together with the corrected
-frames."""
+"""Number of frames sent per window. Together with the corrected frames, this number fits the send
+queue of the interface."""
 PADDING: Final = 0xCC
 """Byte that fills frames up to 8 bytes (ISO 15765-2)."""
 LONGEST_RESPONSE_S: Final = 10.0
-"""Longest time of a response [s]. If the receiver delays it longer, it is aborted."""
+"""Longest time for sending a response [s]. If the receiver delays the response for longer, the
+response is aborted."""
 BUSY_WAIT_S: Final = 0.005
 """Time until the next call of `poll` while a response is being sent [s]."""
 SINGLE_FRAME_BYTES: Final = 7
@@ -38,7 +39,8 @@ CanFrame = tuple[int, bytes]
 """Id (with the flag for 29 bits) and payload of a frame to send."""
 
 Handler = Callable[[bytes, bool], bytes | None]
-"""Function with the request, and whether it was sent to all nodes. Returns a response or None."""
+"""Function that answers a request. Arguments: the request, and whether it was sent to all nodes. It
+returns a response or None."""
 
 
 def import_isotp() -> Any:
@@ -59,9 +61,10 @@ def flagged(can_id: int) -> int:
 
 
 class IsoTpChannel:
-    """The channel for requests of one tester, one after the other.
+    """The channel for the requests of one tester. Requests are processed one after the other.
 
-    handle: answers a request. clock: monotonic [s]. Ids are as configured, without flag.
+    handle: function that answers a request. clock: monotonic [s]. Ids are stated as in the
+    configuration, without the flag for 29 bits.
     Raises ImportError if can-isotp is not installed.
     """
 
@@ -157,8 +160,8 @@ class IsoTpChannel:
         return True
 
     def _take_functional(self, data: bytes) -> None:
-        """Process a request to all nodes. Such a request must be a single frame; others are not
-        answered."""
+        """Process a request to all nodes. Such a request must be a single frame; longer requests
+        are not answered."""
         length = data[0] if data else 0
         if not 1 <= length <= SINGLE_FRAME_BYTES or len(data) <= length:
             self.counters["not_a_functional_request"] += 1

@@ -31,8 +31,9 @@ CHECK_SENSORS: Final = 0xF012
 """Repeat the sensor check of the attitude. The vehicle must stand until it is complete."""
 
 GOOD_QUALITIES: Final = (2, 3)
-"""Qualities *usable* and *fine*: the calibration is complete. 1 is restored but not confirmed yet.
-4 is suspect: the drive contradicts the calibration, so it must be found again."""
+"""Qualities *usable* and *fine*: the calibration is complete. Quality 1 is a restored calibration
+that is not confirmed yet. Quality 4 is suspect: the drive contradicts the calibration, so a new
+calibration is necessary."""
 RESULT_IDENTIFIERS: Final = (0xFD03, 0xFD04, 0xFD05, 0xFD00, 0xFD01)
 """Identifiers at the end of results: state, quality, waiting reasons, angles, deviations."""
 

@@ -1,4 +1,4 @@
-"""Security access (service 0x27): seed, key, wrong attempts and the delay after them."""
+"""Security access (service 0x27): seed, key, wrong keys, and the delay after wrong keys."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from imucald.uds.codes import Answer, Nrc
 REQUEST_SEED = 0x01
 SEND_KEY = 0x02
 SEED_BYTES = 16
-"""Length of the seed [bytes]: one AES block, for key functions that encrypt it."""
+"""Length of the seed [bytes]: one AES block, for key functions that encrypt the seed."""
 MAX_KEY_BYTES = 64
 
 KeyFunction = Callable[[bytes], bytes]
@@ -23,10 +23,10 @@ class Security:
     """The lock of the server. The lock opens if a tester sends the correct key for a seed.
 
     key_function: None refuses every tester. random: returns the given number of random bytes.
-    attempts: number of wrong keys before the delay. delay: [s]. clock: monotonic [s].
-    wrong: number of consecutive wrong keys at the last shutdown. If it is not 0, the first key is
-    accepted only after the delay (ISO 14229-1). on_count: called when this number changes.
-    Attempts are counted over all sessions, so a new session gives no additional attempts.
+    attempts: number of wrong keys before the delay. delay: [s]. clock: monotonic [s]. wrong: number
+    of consecutive wrong keys at the last shutdown. If it is not 0, the first key is accepted only
+    after the delay (ISO 14229-1). on_count: called when this number changes. Wrong keys are counted
+    over all sessions, so a new session gives no additional attempts.
     """
 
     def __init__(
@@ -93,8 +93,8 @@ class Security:
         return self._wrong_key()
 
     def _expected(self, seed: bytes) -> bytes:
-        """Return the correct key. The key is empty if the function fails; then every key is
-        refused."""
+        """Return the correct key for a seed. If the key function fails, the result is empty and
+        every key is refused."""
         if self._key_function is None:
             return b""
         try:

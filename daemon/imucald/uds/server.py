@@ -41,7 +41,8 @@ S3_S: Final = 5.0
 P2_MS: Final = 50
 """Longest time until a response starts [ms]: at most one cycle of the daemon's loop."""
 P2_STAR_10MS: Final = 500
-"""Longest time to a response after "response pending" [10 ms]. "Response pending" is never sent."""
+"""Longest time to a response after "response pending" [10 ms]. ISO 14229-1 requires this value, but
+"response pending" is never sent."""
 
 NOT_ANSWERED_TO_ALL: Final = frozenset(
     {
@@ -52,12 +53,14 @@ NOT_ANSWERED_TO_ALL: Final = frozenset(
         Nrc.SERVICE_NOT_IN_SESSION,
     }
 )
-"""Negative codes that are not sent for a request to all nodes, because it was for other nodes."""
+"""Negative response codes that are not sent as an answer to a request to all nodes, because such a
+request is probably for other nodes."""
 
 
 @dataclass(frozen=True)
 class UdsService:
-    """One service. answer: called with the request without the service's number.
+    """One service. answer: function that answers a request. Its argument is the request without the
+    service id.
 
     shortest: length of the shortest request [bytes]. sub_functions: None if there are none.
     """
@@ -81,8 +84,8 @@ class ServerCounters:
 class Server:
     """Answers requests about one host.
 
-    clock: monotonic [s]. security: the lock of the routines. more: additional identifiers besides
-    those of the host. dtcs: an existing DTC memory.
+    clock: monotonic [s]. security: the lock of the routines. more: identifiers in addition to the
+    identifiers of the host. dtcs: an existing DTC memory.
     """
 
     def __init__(
@@ -130,7 +133,8 @@ class Server:
         }
 
     def handle(self, request: bytes, to_all: bool = False) -> bytes | None:
-        """Answer a request, or return None. to_all: whether it used functional addressing."""
+        """Return the response to a request; None if there is no response. to_all: True if the
+        request used functional addressing."""
         self.poll()
         if not request or request[0] & POSITIVE:  # responses of other nodes are not requests
             return None
@@ -144,14 +148,14 @@ class Server:
         return None if suppressed else bytes([request[0] + POSITIVE]) + answer
 
     def poll(self) -> None:
-        """End a session without requests when its time is over."""
+        """End the session if there was no request for `S3_S`."""
         self._routines.poll()
         if self.session is not Session.DEFAULT and self._clock() - self._last_request > S3_S:
             self.counters.ended_sessions += 1
             self._enter(Session.DEFAULT)
 
     def _judge(self, request: bytes) -> tuple[Answer, bool]:
-        """Return the answer, and whether a positive answer is suppressed."""
+        """Return the answer to a request, and whether a positive answer is suppressed."""
         service = self._services.get(request[0])
         if service is None:
             return Nrc.SERVICE_NOT_SUPPORTED, False

@@ -20,7 +20,7 @@ from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
 
 
 def result_file(path: Path) -> Path:
-    """Return the path of the JSON file for the result, because CSV cannot hold it."""
+    """Return the path of the JSON file with the data that CSV files cannot contain."""
     return path.with_name(f"{path.stem}.result.json")
 
 

@@ -1,9 +1,9 @@
-"""Join samples of force and rate into one series, with covariances.
+"""Join the samples of accelerometer (force) and gyroscope (rate) into one series, with covariances.
 
-The covariance of a corrected vector v has two parts. The mount error gives [v]x P [v]x', where P is
-the covariance of the rotation about the vehicle's axes. The noise of a sample is the variance of
-second differences divided by 6 (von Neumann and others, Ann. Math. Stat. 12, 1941). Driving hardly
-changes this value.
+The covariance of a corrected vector v has two parts. The first part is the mount error: [v]x P
+[v]x', where P is the covariance of the rotation error about the vehicle's axes. The second part is
+the noise of a sample: the variance of second differences divided by 6 (von Neumann and others, Ann.
+Math. Stat. 12, 1941). The motion of the vehicle hardly changes second differences.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import skew
 
 _BLOCK = 10_000
-"""Rows that are processed together, because one part may be a whole drive."""
+"""Number of rows that are processed together. The number bounds the memory, because one part may be
+a whole drive."""
 _FURTHEST_S = 0.05
 """Largest time difference [s] between a force and its rate: half a period of 10 Hz."""
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -30,10 +31,10 @@ _SECOND_DIFFERENCE = 6.0
 
 
 class ImuSamples(NamedTuple):
-    """Samples of both sensors.
+    """Samples of accelerometer and gyroscope.
 
-    times: (N,) [us]. force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s], NaN without a gyroscope. The
-    covariances of either are (N, 9): matrices of 3 by 3, row by row.
+    times: (N,) [us]. force: (N, 3) [m/s^2]. rate: (N, 3) [rad/s], NaN without a gyroscope.
+    force_covariance, rate_covariance: (N, 9), 3 x 3 matrices row by row.
     """
 
     times: Array
@@ -44,7 +45,7 @@ class ImuSamples(NamedTuple):
 
 
 def mounts_of(history: Columns) -> Array:
-    """Times [s] and covariances [rad^2] (N, 10) of the history rows with a known mount."""
+    """Return time [s] and covariance [rad^2] of the history rows with a known mount, (N, 10)."""
     entries = [history[f"cov_{name}_deg2"] * RAD_PER_DEG**2 for name in _UPPER]
     found = np.stack([history["t_s"], *(entries[i] for i in _FULL)], axis=1)
     return _complete(found)
@@ -53,8 +54,8 @@ def mounts_of(history: Columns) -> Array:
 def joined(force: Columns, rate: Columns | None, mounts: Array) -> Iterator[ImuSamples]:
     """Join each known force with the nearest rate.
 
-    mounts: the result of `mounts_of`; each row is valid from its time on. Before the first row, or
-    if there is no row, the covariance contains only the noise.
+    mounts: the result of `mounts_of`. Each row is valid from its time to the time of the next row.
+    Before the first row, or if there is no row, the covariance contains only the noise.
     """
     forces, rates = _known(force), np.zeros((0, 5)) if rate is None else _known(rate)
     force_noise, rate_noise = _noise(forces[:, 2:]), _noise(rates[:, 2:])
@@ -72,7 +73,8 @@ def joined(force: Columns, rate: Columns | None, mounts: Array) -> Iterator[ImuS
 
 
 def _known(rows: Columns) -> Array:
-    """Times [s], [us] and values (N, 5) of the rows without a missing axis."""
+    """Return an array (N, 5) of the rows without a missing axis: time [s], time [us], three
+    values."""
     return _complete(np.stack([array.astype(float) for array in rows.arrays[:5]], axis=1))
 
 
@@ -82,7 +84,7 @@ def _complete(rows: Array) -> Array:
 
 
 def _noise(values: Array) -> Array:
-    """Variance (3,) of a sample's noise; zeros if there are too few samples."""
+    """Return the variance (3,) of the noise of a sample; zeros if there are too few samples."""
     if len(values) < 3:
         return np.zeros(3)
     noise: Array = np.mean(np.diff(values, n=2, axis=0) ** 2, axis=0) / _SECOND_DIFFERENCE
@@ -90,7 +92,7 @@ def _noise(values: Array) -> Array:
 
 
 def _nearest(rates: Array, t: Array) -> Array:
-    """The rate (N, 3) nearest to each time; NaN if none is close enough."""
+    """Return for each time the nearest rate, (N, 3); NaN if no rate is close enough."""
     if not len(rates):
         return np.full((len(t), 3), np.nan)
     after = np.searchsorted(rates[:, 0], t).clip(1, max(1, len(rates) - 1))
@@ -104,7 +106,8 @@ def _nearest(rates: Array, t: Array) -> Array:
 
 
 def _covariance(values: Array, turns: Array, noise: Array) -> Array:
-    """Covariances (N, 9) of vectors (N, 3) from the covariances (N, 9) of their rotation."""
+    """Return the covariances (N, 9) of vectors (N, 3). turns: covariances (N, 9) of the rotation
+    error. noise: variance (3,) of the noise."""
     cross = skew(np.nan_to_num(values))
     found: Array = cross @ turns.reshape(-1, 3, 3) @ cross.transpose(0, 2, 1) + np.diag(noise)
     return found.reshape(-1, 9)

@@ -1,10 +1,10 @@
 """MCAP of ROS 2, for `ros2 bag play`, Foxglove and PlotJuggler.
 
-Each table is a topic. The messages of this topic have the table's columns, and imucald reads the
-table again from this topic. A player that does not know these message definitions skips them. The
-file also contains standard ROS messages: corrected and raw samples as sensor_msgs/Imu, the mount as
-a static transform, events as rcl_interfaces/Log. As defined by sensor_msgs/Imu, a covariance of
-zeros is not known, and a covariance that begins with -1 means that the quantity is not measured.
+Each table is a topic, and each message of the topic is a row. imucald reads the table again from
+this topic. A player that does not know the message definitions skips these topics. The file also
+contains standard ROS messages: corrected and raw samples as sensor_msgs/Imu, the mount as a static
+transform, events as rcl_interfaces/Log. As defined by sensor_msgs/Imu, a covariance of zeros is not
+known, and a covariance that begins with -1 means that the quantity is not measured.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from imucald.api.interchange import FILE_KEY, library
 from imucald.core.errors import ImucaldError
 
 _KINDS = {"float": "float64", "int8": "int8", "bool": "bool", "text": "string", "time": "int64"}
-"""Types of ROS; `time` is whole microseconds since 1970."""
+"""ROS types of the kinds of columns. A `time` is stored as whole microseconds since 1970."""
 VEHICLE, SENSOR = "vehicle", "sensor"
 _IMUS = {
     "/imu/data": ("accel", "gyro", VEHICLE),
     "/imu/data_raw": (f"{RAW}accel", f"{RAW}gyro", SENSOR),
 }
-"""Topics of REP 145: tables of force and rate, frame."""
+"""Topics of REP 145, each with the names of its tables for force and rate, and its frame."""
 _LATCHED = """- history: 1
   depth: 1
   reliability: 1
@@ -41,8 +41,8 @@ _LATCHED = """- history: 1
   liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
   avoid_ros_namespace_conventions: false
 """
-"""Quality of service in the notation of rosbag2: durability transient_local. Without it no tf2
-listener accepts a static transform."""
+"""Quality of service in the notation of rosbag2: durability transient_local. Without this quality
+of service, no tf2 listener accepts a static transform."""
 _INFO = 20
 _NOT_MEASURED = np.array([-1.0] + [0.0] * 8)
 
@@ -87,7 +87,7 @@ class McapTables:
         return channel
 
     def _put(self, topic: str, us: int, of: str, message: Any) -> None:
-        """Append a message with this time stamp [us]."""
+        """Append a message of the type `of` with the time stamp `us` [us]."""
         stamp = max(us, 0) * 1000
         data = self._store.encoded(message, of)
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
@@ -112,7 +112,8 @@ class McapTables:
                     self._put_imu(topic, frame, samples)
 
     def _take_mounts(self, rows: Columns) -> None:
-        """Keep the newest previous row, because it is valid until the next one."""
+        """Store the mounts of new rows. The last of the previous rows is kept, because it is valid
+        until the next row."""
         self._mounts = np.concatenate([self._mounts[-1:], mounts_of(rows)])
         quaternions = np.stack([rows[f"q_{part}"] for part in "xyzw"], axis=1)
         known = quaternions[~np.isnan(quaternions).any(axis=1)]
@@ -170,7 +171,7 @@ def _topic(name: str) -> str:
 
 
 class _Definitions:
-    """Definitions of the ROS 2 messages and of the messages for our tables."""
+    """The definitions of the ROS 2 messages and of our own messages for tables."""
 
     def __init__(self) -> None:
         self._typesys = library("rosbags.typesys", "mcap")
@@ -179,7 +180,7 @@ class _Definitions:
         self.quaternion = self.types["geometry_msgs/msg/Quaternion"]
 
     def of_tables(self, tables: Tables) -> dict[str, str]:
-        """Define a message for each table; return its type by the table's name."""
+        """Define a message type for each table. Return the name of the type for each table."""
         found: dict[str, str] = {}
         for name, columns in tables.items():
             words = re.findall(r"[A-Za-z0-9]+", name)
@@ -227,7 +228,8 @@ class _Definitions:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """Read a file's description of itself. Raises ImucaldError if imucald did not write it."""
+    """Read the description of the tables from a file. Raises ImucaldError if imucald did not write
+    it."""
     with path.open("rb") as file:
         for record in library("mcap.reader", "mcap").make_reader(file).iter_metadata():
             if record.name == FILE_KEY:

@@ -27,7 +27,7 @@ SIGNATURE = b"MDF     "
 
 
 class Mf4Tables:
-    """Writes MF4; the master channel is `t_s`, and `time` is in microseconds since 1970."""
+    """Writes MF4. The master channel is `t_s`; `time` is in microseconds since 1970."""
 
     needs: ClassVar = ("asammdf", "mf4")
 
@@ -87,7 +87,8 @@ def _stored(column: TableColumn, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _close_half_made(error: Exception) -> None:
-    """Close the half-made object of asammdf for a damaged file. Its deletion would fail later."""
+    """Close the incomplete asammdf object of a damaged file, because its deletion would raise an
+    error later."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         half_made: Any = frame.f_locals.get("self")
         with contextlib.suppress(Exception):
@@ -116,7 +117,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """Read a file's description of itself."""
+    """Read the description of the tables from a file."""
     with opened(path) as mdf:
         (found,) = [a for a in mdf.attachments if str(a.file_name) == ATTACHMENT]
         about: dict[str, Any] = json.loads(found.extract())

@@ -1,4 +1,5 @@
-"""Parquet: one file per table, zstd; units in the column names, in the fields and in the keys."""
+"""Parquet: one file per table, compressed with zstd. The units are in the column names, in the
+metadata of the fields and in the metadata of the file."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ from imucald.api.interchange import (
 from imucald.core.errors import ImucaldError
 
 ROW_GROUP = 100_000
-"""Rows per row group, as recommended by DuckDB and others."""
+"""Number of rows per row group, as recommended by DuckDB and others."""
 
 
 class ParquetTables:
@@ -56,7 +57,7 @@ class ParquetTables:
             writer.write_table(to_arrow(rows).cast(writer.schema), row_group_size=ROW_GROUP)
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write the keys and close the files."""
+        """Write the metadata keys and close the files."""
         files = {name: file.name for name, file in self._files.items()}
         for name, writer in self._writers.items():
             keys = file_keys(self._tables[name], {**about, "table": name, "files": files})
@@ -70,7 +71,8 @@ class ParquetTables:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """Read a file's description of itself. Raises ImucaldError if imucald did not write it."""
+    """Read the description of the tables from a file. Raises ImucaldError if imucald did not write
+    it."""
     keys = library(*ParquetTables.needs).read_metadata(path).metadata or {}
     text = keys.get(FILE_KEY.encode())
     if text is None:

@@ -57,7 +57,7 @@ def _opened(file: Path) -> tuple[dict[str, Any], Path, Reader]:
 
 
 def _beside(file: Path) -> Path:
-    """Return one of the files that were written together under this name."""
+    """Return any of the files that were written together under the name `file`."""
     found = sorted(file.parent.glob(f"{file.stem}.*{file.suffix}"))
     if not found:
         raise ImucaldError(f"{file}: cannot be opened: No such file or directory")

@@ -1,4 +1,5 @@
-"""Common parts of all file formats: tables are written in pieces, and the file describes them."""
+"""Common parts of all file formats. Tables are written in pieces, and each file contains a
+description of the tables."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ class TableWriter(Protocol):
     """Writes tables to one file, or to several in one folder."""
 
     needs: ClassVar[tuple[str, str]]
-    """The required library: its module, and the extra that installs it."""
+    """The required library: name of its module, and name of the extra that installs it."""
 
     def __init__(self, path: Path, tables: Tables) -> None: ...
 
@@ -36,7 +37,8 @@ class TableWriter(Protocol):
         ...
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write the description of the tables, give the files their names, and return them."""
+        """Write the description of the tables, rename the files to their final names, and return
+        their paths."""
         ...
 
     def abandon(self) -> None:
@@ -50,7 +52,8 @@ def axes_of(table: str) -> str:
 
 
 def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the description of the tables for a file; drive: the data of the drive."""
+    """Return the description of the tables that is stored in a file. drive: the data of the
+    drive."""
     columns = {name: [[c.name, c.unit, c.kind] for c in cs] for name, cs in tables.items()}
     return {"version": VERSION, "imucald": __version__, "tables": columns, "drive": dict(drive)}
 
@@ -68,7 +71,7 @@ def unfinished(path: Path) -> Path:
 
 
 def named(path: Path) -> Path:
-    """Give a complete file its final name."""
+    """Rename a complete file to its final name."""
     os.replace(unfinished(path), path)  # noqa: PTH105 - Path.replace takes the other order
     return path
 
@@ -84,7 +87,8 @@ def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
 
 
 def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> dict[str, Any]:
-    """Open a writer for each table's unfinished file. If one fails, all files are removed.
+    """Open a writer for the unfinished file of each table. If a writer cannot be opened, all files
+    are removed.
 
     files: the final path of each table. open_one: called with a table's name and a path.
     """
@@ -99,7 +103,8 @@ def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> di
 
 
 def names_beside(path: Path, tables: Tables) -> dict[str, Path]:
-    """Return the file of each table: `path` for a single table, else drive.TABLE.parquet etc."""
+    """Return the file of each table: `path` itself for a single table, else names such as
+    drive.TABLE.parquet."""
     if len(tables) == 1:
         return dict.fromkeys(tables, path)
     found: dict[str, Path] = {}

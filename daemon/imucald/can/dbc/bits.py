@@ -2,7 +2,8 @@
 
 A frame is treated as one integer of `8 * size` bits: little-endian for Intel signals, big-endian
 for Motorola signals. In this integer, each signal is one contiguous run of bits, `shift` bits above
-the low end. Columns are treated as 64-bit words of the same byte order. Both give the same integer.
+the low end. Columns are treated as 64-bit words of the same byte order. A signal has the same
+integer in a frame and in columns.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ Columns = NDArray[np.uint8]
 
 
 class Field(Struct, frozen=True):
-    """A contiguous run of bits. `first_bit` is counted in the order of its byte order.
+    """A contiguous run of bits. The numbering of `first_bit` depends on the byte order.
 
     Intel: the number of the least significant bit. Motorola: the number of the most significant
-    bit, counted from the highest bit of byte 0. `end_byte`: bytes that a frame needs to hold it.
+    bit, counted from the highest bit of byte 0. `end_byte`: smallest number of bytes of a frame
+    that contains the field.
     """
 
     first_bit: int
@@ -42,7 +44,7 @@ class Field(Struct, frozen=True):
 
     @property
     def order(self) -> Literal["little", "big"]:
-        """The byte order, with the names of `int.from_bytes`."""
+        """The byte order, as an argument of `int.from_bytes`."""
         return "big" if self.is_big else "little"
 
     @property

@@ -1,7 +1,7 @@
 """Parse databases with limits: a large database is parsed in a separate process.
 
-The parser needs 30 to 220 times the memory of its text. The text does not show how much it will
-need. If the separate process exceeds its limits or crashes, the database is refused, and this
+The parser needs 30 to 220 times as much memory as its text. The factor cannot be predicted from the
+text. If the separate process exceeds its limits or crashes, the database is refused, and this
 process continues.
 """
 
@@ -42,7 +42,8 @@ sys.exit(parse_for_parent(*sys.argv[2:]))
 
 
 def parse_bounded(text: str, database_format: str, source: str) -> list[Message]:
-    """Return the messages of a database's text. Raises DatabaseError if wrong or too large."""
+    """Return the messages of a database's text. Raises DatabaseError if the text is wrong or too
+    large."""
     if len(text) <= SMALL or not sys.executable:
         try:
             return parse(text, database_format, source)
@@ -78,7 +79,8 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
 
 
 def parse_for_parent(database_format: str, source: str, memory: str, seconds: str) -> int:
-    """Run in the separate process: parse standard input, write JSON, or exit 1 with a reason."""
+    """Parse the text on standard input, and write its messages as JSON. Runs in the separate
+    process. Returns the exit code: 1 means that a reason was written instead."""
     limit_own(int(memory), int(seconds))
     with contextlib.suppress(OSError):  # if memory runs out, kill this process first
         Path("/proc/self/oom_score_adj").write_text("1000")

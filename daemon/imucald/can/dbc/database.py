@@ -28,11 +28,13 @@ _MARKS: Mapping[bytes, str] = {
 MAX_FILE_BYTES = 256 * 2**20
 """Largest file [bytes]. ARXML files of a whole vehicle reach 100 MB."""
 TEXT_SHARE = 1 / 16
-"""Share of the allowed memory for the text, as bytes and as text of two bytes per character."""
+"""Share of the allowed memory for the largest file. The file is stored twice: as bytes, and as text
+of two bytes per character."""
 REMEMBERED = 4
-"""Number of databases that a process caches, because the next log often needs the same one."""
+"""Number of databases that a process caches, because the next log often needs the same database."""
 REMEMBERED_TEXT = 2 * 2**20
-"""Largest text of a cached database [characters]. The cache then takes some tens of MiB."""
+"""Largest text of a cached database [characters]. With this limit, the cache needs some tens of
+MiB."""
 
 
 class Database:
@@ -43,7 +45,7 @@ class Database:
         self._ambiguous = dict(ambiguous)
 
     def message(self, name: str) -> Message:
-        """Return the message. Raises DatabaseError if absent, ambiguous or not decodable."""
+        """Return the message. Raises DatabaseError if it is absent, ambiguous or not decodable."""
         if name in self._ambiguous:
             raise DatabaseError(self._ambiguous[name])
         found = self.messages.get(name)
@@ -55,7 +57,8 @@ class Database:
         return found
 
     def signal(self, path: str) -> tuple[Message, Signal]:
-        """Return message and signal of ``MESSAGE.SIGNAL``. Raises DatabaseError if absent."""
+        """Return message and signal of ``MESSAGE.SIGNAL``. Raises DatabaseError if either is
+        absent."""
         message_name, dot, signal_name = path.partition(".")
         if not dot or not message_name or not signal_name:
             hint = self._holders(path) or ", such as IMU.AccX"
@@ -81,7 +84,7 @@ class Database:
         return ", ".join(dict.fromkeys(m.source for m in self.messages.values())) or "the database"
 
     def _holders(self, signal_name: str) -> str:
-        """A hint which other messages have this signal; empty if none has it."""
+        """Return a hint that names the other messages with this signal; empty if there are none."""
         found = [
             f"{m.name}.{signal_name}" for m in self.messages.values() if signal_name in m.signals
         ]
@@ -92,7 +95,8 @@ def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
     """Read one or several database files of one bus.
 
     Raises DatabaseError with file and reason for a file that cannot be read. DatabaseError is also
-    raised if two files describe one name or (unless `shared_ids`) one identifier differently.
+    raised if two files describe the same name differently. Unless `shared_ids` is true, the same
+    holds for identifiers.
     """
     messages: list[Message] = []
     ambiguous: dict[str, str] = {}
@@ -136,7 +140,8 @@ def _named_apart(
 
 
 def _told_apart(messages: Sequence[Message]) -> list[Message]:
-    """Return the messages. If messages share a PGN, those with their own address are marked."""
+    """Return all messages. A message is marked if it shares its PGN with another message and has
+    its own address."""
     addresses: dict[int, set[int]] = {}
     for one in messages:
         if one.can_id & CAN_EFF_FLAG:
@@ -157,7 +162,8 @@ def load_database_text(text: str, database_format: str, name: str = "<text>") ->
 
 
 def max_file_bytes() -> int:
-    """Size of the largest accepted file, from the allowed memory [bytes]."""
+    """Return the size of the largest accepted file [bytes]. This limit depends on the allowed
+    memory."""
     return min(MAX_FILE_BYTES, int(allowed_memory() * TEXT_SHARE))
 
 
@@ -177,7 +183,7 @@ def _load_file(path: Path) -> list[Message]:
 
 
 def decoded(data: bytes) -> str:
-    """Decode a file. The byte order mark sets the encoding, if there is one.
+    """Decode a file. A byte order mark determines the encoding.
 
     Without a mark, each line is decoded as UTF-8 if it is valid UTF-8, else as cp1252. Tools on
     Windows write cp1252; editors and scripts write UTF-8; some files contain both. A line with

@@ -43,7 +43,8 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
         (r"<(?:\w+:)?(?:LENGTH|START-POSITION)>\s*(\d+)", MAX_PDU_BITS),
     ),
 }
-"""Numbers that determine memory, by format: a pattern whose group is the digits, and a limit."""
+"""Numbers that determine the parser's memory, by format: a pattern whose group contains the digits,
+and the largest accepted number."""
 
 _SYM_SIGNAL = re.compile(r"\b(?:Sig|Var|Mux)\s*=")
 _SYM_NUMBER = re.compile(r"\s(\d{5,})(?![\dA-Fa-fh])")
@@ -122,7 +123,8 @@ def _count_sets(
     sets: dict[tuple[str, str], int],
     above: tuple[tuple[str, str], ...],
 ) -> int:
-    """Count the signal sets under one multiplexer; above the limit if it is its own parent."""
+    """Return the number of signal sets under one multiplexer. The number is above the limit if the
+    multiplexer is its own parent."""
     if key in sets:
         return sets[key]
     if key in above or len(above) > 100:

@@ -1,4 +1,4 @@
-"""Read a DBC with damaged lines: only their message or signal is lost, not the database.
+"""Read a DBC with damaged lines. Only the message or signal of a damaged line is left out.
 
 Removed text is replaced with spaces, so that all other lines keep their numbers.
 """
@@ -26,7 +26,8 @@ _STATEMENT = re.compile(
     re.MULTILINE,
 )
 _TEXT = re.compile(r'"(?:\\.|[^"\\])*+("?)')
-"""Quoted text, or all text after a quote without an end. No character is read twice."""
+"""Pattern of quoted text, or of all text after a quote without an end. No character is read twice.
+"""
 _MESSAGE = re.compile(r"BO_\s+(\S+)\s+([^\s:]*)\s*:\s*(\d*)")
 _SIGNAL = re.compile(r"SG_\s+([^\s:]+)(?:[ \t]+(M|m\d+M?)\b)?")
 _REFERENCE = re.compile(r"(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+([^\s:]+)")
@@ -34,8 +35,8 @@ _UNREADABLE = "this line cannot be read as DBC; write it like the lines around i
 _NO_MULTIPLEXER = "is not used, since the line of its multiplexer cannot be read; correct that line"
 _ONE_LINE = frozenset({"BO_", "SG_"})
 _DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
-"""Statements that cannot be removed: without them, a signal would be decoded wrongly. A database
-with such a damaged statement is refused."""
+"""Keywords of statements that must not be removed, because a signal would be decoded wrongly
+without them. A database is refused if one of these statements is damaged."""
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _MULTIPLEXING = re.compile(
     r"^[ \t]*(?:BO_[ \t]+\d+[ \t]+(\w+)|SG_[ \t]+(\w+)[ \t]+m\d+M?[ \t]*:)", re.MULTILINE
@@ -143,7 +144,8 @@ class MendedText:
             self._bad.append((one.start, one.end))
 
     def _is_unfinished(self, one: _Statement, following: _Statement) -> bool:
-        """True if the parser stopped because of a statement, not of the keyword after it."""
+        """True if the parser stopped because statement `one` is unfinished, and not because the
+        keyword after it is wrong."""
         if one.keyword in {"BO_", "SG_"}:
             return True
         if following.keyword == "SG_" or one.keyword in {"BU_", "BS_", "NS_", "VERSION"}:

@@ -1,8 +1,10 @@
-"""Decode plans: a message and the requested signals, prepared once.
+"""Plans for decoding the requested signals of a message. A plan is made once and used for all
+frames.
 
 `decode` decodes one frame and is the reference implementation. `decode_columns` gives the same
-values for many frames, with numpy. Both give the same doubles as cantools. The values of
-multiplexers are compared as raw values. `encode` is the reverse; `database` reads databases.
+values for many frames, with numpy. Both functions give the same doubles as cantools. The values of
+multiplexers are compared as raw values. The module `encode` does the reverse; the module `database`
+reads databases.
 """
 
 from __future__ import annotations
@@ -41,12 +43,12 @@ FEW_VALUES = 8
 J1939_ADDRESS_MASK = 0xFF
 """Mask of the sender's address."""
 J1939_NO_ADDRESS = 0xFE
-"""From this value on, an address is no unit's address. Databases use it for any sender
-(SAE J1939-81)."""
+"""Smallest value that is not the address of a unit. Databases use such a value for any sender (SAE
+J1939-81)."""
 
 Raw = int | float | None
 Words = tuple[int, int]
-"""The bytes of a frame as one integer, little-endian and big-endian."""
+"""The bytes of a frame as two integers: little-endian and big-endian."""
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 
 
@@ -69,9 +71,9 @@ def id_match(
     """Return the filter for the frames of this message.
 
     A J1939 message is matched by its PGN. Priority and (for PDU1) destination are ignored. The
-    source address counts only in two cases: if one is given here, or if the database has several
-    messages with this PGN and this message has its own address. `j1939` overrides the database for
-    messages with a 29-bit identifier. A message with an 11-bit identifier has no PGN.
+    source address is compared only in two cases: if `source_address` is given, or if the database
+    has several messages with this PGN and this message has its own address. `j1939` overrides the
+    database for messages with a 29-bit identifier. A message with an 11-bit identifier has no PGN.
 
     Raises DatabaseError if a source address is given for a message that is not J1939.
     """
@@ -205,7 +207,8 @@ class DecodePlan:
     def presence(
         self, data: Columns, length: NDArray[np.uint8]
     ) -> Mapping[Selectors, NDArray[np.bool_]]:
-        """Return the frames (N,) with each set of multiplexer values that signals need."""
+        """Return masks (N,) of frames. The key of a mask is a condition for multiplexer values
+        under which signals are present; the frames of the mask meet this condition."""
         if not self.multiplexers:
             return {}
         data = self._wide(data)

@@ -1,11 +1,10 @@
-"""Encode plans: convert physical values to the bits of a message, prepared once.
+"""Plans for encoding physical values in the bits of a message. A plan is made once and used for all
+frames.
 
-One frame and whole columns give the same bytes, equal to those of cantools: raw is
-`round((value - offset) / scale)`, with halves rounded to even. Values are never clipped. A value
-that the signal cannot represent (outside its range or bits, NaN, None) becomes the not-available
-raw value. If the signal has no such value, EncodeError is raised.
-
-One signal of an encode plan: its possible values, and its bits.
+One frame and whole columns give the same bytes as cantools: raw is `round((value - offset) /
+scale)`, with halves rounded to even. Values are never clipped. A value that the signal cannot
+represent (outside its range or bits, NaN, None) becomes the not-available raw value. If the signal
+has no such value, EncodeError is raised.
 """
 
 from __future__ import annotations
@@ -112,7 +111,8 @@ def _integer_limits(signal: Signal) -> tuple[int, int]:
 
 
 def _float_limits(signal: Signal) -> tuple[float, float]:
-    """Stated physical range. The limit is finite, so it excludes infinity."""
+    """Return the stated physical range. A limit that is not stated is the largest finite double, so
+    infinity is excluded."""
     low = -MAX_DOUBLE if signal.minimum is None else signal.minimum
     high = MAX_DOUBLE if signal.maximum is None else signal.maximum
     return low, high
@@ -248,9 +248,9 @@ def compile_encode(
     """Make the plan for the given signals, in that order.
 
     `not_available`: the raw value that means "not available", by signal (float for float signals).
-    `multiplexer`: raw values of multiplexers. A missing one is the lowest value for which all
-    requested signals are present. Raises DatabaseError if a signal cannot be encoded or if signals
-    exclude each other.
+    `multiplexer`: raw values of multiplexers. A multiplexer without an entry gets the lowest value
+    for which all requested signals are present. Raises DatabaseError if a signal cannot be encoded
+    or if signals exclude each other.
     """
     if message.unsupported:
         raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")

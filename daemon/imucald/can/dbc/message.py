@@ -46,7 +46,7 @@ class Signal(Struct, frozen=True, omit_defaults=True):
 
 
 class Message(Struct, frozen=True, omit_defaults=True):
-    """One message. `can_id` carries `CAN_EFF_FLAG` for 29 bits; `cycle_time` in seconds."""
+    """One message. `can_id` contains `CAN_EFF_FLAG` for a 29-bit id; `cycle_time` is in seconds."""
 
     name: str
     can_id: int

@@ -100,8 +100,9 @@ def _reason_of_kcd(text: str) -> str:
 def _cantools() -> Any:
     """Import `cantools.database` without the rest of cantools, which would load python-can.
 
-    This saves 12 MiB (a daemon may use 50 MiB) and 45 ms. A later import of cantools loads all of
-    it. Warnings in its log about duplicate names are reported by this module, with a remedy.
+    This saves 12 MiB (a daemon may use 50 MiB) and 45 ms. A later import of cantools loads the
+    whole package. The warnings of cantools about duplicate names are switched off, because this
+    module reports duplicate names with a remedy.
     """
     logging.getLogger("cantools").setLevel(logging.ERROR)
     spec = importlib.util.find_spec("cantools")
@@ -162,8 +163,9 @@ def _join_doubles(
     found: Any,
     source: str,
 ) -> None:
-    """Join signals of one name. In several groups of a multiplexer they are one signal if their
-    bits are the same. Otherwise the last signal is used, and `choices` states this."""
+    """Join signals with the same name. Signals in several groups of one multiplexer are joined if
+    only their multiplexer values differ. In all other cases the last signal is used, and `choices`
+    states this."""
     by_name: dict[str, list[Signal]] = {}
     for one in every:
         by_name.setdefault(one.name, []).append(one)

@@ -1,10 +1,10 @@
 """A signal prepared for coding: its bits, its scaling and the multiplexers above it.
 
-The scaling `raw * scale + offset` is that of cantools, for one number and for columns. cantools
-computes in integers if scale and offset are integers and the signal is not a float, else in
-doubles. The result here is always a double. If a double holds every product exactly, this module
-computes in doubles. For the few signals of 54 to 64 bits where a double would round, it computes in
-Python's integers, also for columns.
+The scaling `raw * scale + offset` gives the same results as cantools, for one number and for
+columns. cantools computes in integers if scale and offset are integers and the signal is not a
+float, else in doubles. The result here is always a double. If a double holds every product exactly,
+this module computes in doubles. For the few signals of 54 to 64 bits where a double would round, it
+computes in Python's integers, also for columns.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
 """The letter of module struct for a float, by its number of bits."""
 
 MAX_PHYSICAL = 1e300
-"""Largest physical value. A scale that exceeds it has no physical meaning and would overflow."""
+"""Largest physical value. A scale that gives larger values has no physical meaning and would cause
+an overflow."""
 
 
 class Scaling(Struct, frozen=True):
-    """Linear scaling of integers in doubles: ``raw * scale + offset``. Subclasses compute it
-    differently.
+    """Linear scaling of integers in doubles: ``raw * scale + offset``. Subclasses compute the
+    result differently.
     """
 
     scale: int | float
@@ -94,7 +95,8 @@ class IntegerScaling(Scaling, frozen=True):
 
 
 def scaling_of(signal: Signal, place: str) -> Scaling:
-    """Return the scaling of a signal. Raises DatabaseError (with `place`) if it is no number."""
+    """Return the scaling of a signal. Raises DatabaseError (with `place`) if the signal is not a
+    number."""
     _check(signal, place)
     scale, offset = signal.scale, signal.offset
     if scale == 1 and offset == 0:
@@ -129,7 +131,8 @@ class ResolvedSignal(Struct, frozen=True):
 
 
 def resolve(message: Message, name: str) -> ResolvedSignal:
-    """Return bits, conversion and multiplexers of a signal. Raises DatabaseError if impossible."""
+    """Return bits, conversion and multiplexers of a signal. Raises DatabaseError if the signal
+    cannot be coded."""
     signal = message.signal(name)
     place = f"{message.source}: {message.name}.{name}"
     scaling = scaling_of(signal, place)
@@ -155,7 +158,7 @@ def _is_whole(value: int | float) -> bool:
 
 
 def _short(number: float) -> str:
-    """Format a number of a file shortly, because it may have any number of digits."""
+    """Return a short text for a number from a file, because the number may have many digits."""
     try:
         return f"{number:g}"
     except OverflowError:

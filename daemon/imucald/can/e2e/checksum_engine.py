@@ -1,8 +1,8 @@
 """A table-driven CRC (or XOR) over the bytes of a message, for one frame and for whole columns.
 
 All checksums of `checksums` use the same scheme. The CRC runs over the prefix, the payload without
-the checksum bytes, and the suffix. Prefix and suffix may depend on the alive counter. One frame and
-columns give the same number.
+the checksum bytes, and the suffix. Prefix and suffix may depend on the alive counter. A frame has
+the same checksum when computed alone and in columns.
 """
 
 from __future__ import annotations

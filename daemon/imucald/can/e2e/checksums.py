@@ -25,16 +25,17 @@ from imucald.can.e2e.protection_spec import CounterSpec
 from imucald.core.errors import ConfigError
 
 J1850_POLYNOMIAL = 0x1D
-"""CRC-8 SAE J1850."""
+"""Polynomial of CRC-8 SAE J1850."""
 
 H2F_POLYNOMIAL = 0x2F
-"""CRC-8 of E2E profile 2 (AUTOSAR Crc_CalculateCRC8H2F)."""
+"""Polynomial of the CRC-8 of E2E profile 2 (AUTOSAR Crc_CalculateCRC8H2F)."""
 
 CCITT_POLYNOMIAL = 0x1021
-"""CRC-16-CCITT, also of E2E profile 5 (AUTOSAR Crc_CalculateCRC16, start 0xFFFF)."""
+"""Polynomial of CRC-16-CCITT, also used by E2E profile 5 (AUTOSAR Crc_CalculateCRC16, start
+0xFFFF)."""
 
 E2E_COUNTER_VALUES = 16
-"""Profiles 1, 2 and 11 count in four bits."""
+"""Number of values of a counter with four bits (E2E profiles 1, 2 and 11)."""
 
 DataIdMode = Literal["both", "alternating", "low", "nibble"]
 
@@ -56,15 +57,16 @@ class ChecksumOptions(Protocol):
 
     @property
     def data_id(self) -> int | tuple[int, ...] | None:
-        """The E2E data id; profile 2 has sixteen of them."""
+        """The E2E data id; profile 2 has sixteen data ids."""
 
     @property
     def data_id_mode(self) -> DataIdMode:
-        """How the data id enters the checksum."""
+        """The bytes of the data id that are inputs of the checksum."""
 
 
 class HeaderCounter(Struct, frozen=True):
-    """The alive counter in an E2E header: bit offset in the header, number of bits, of values."""
+    """The alive counter in an E2E header: bit offset in the header, number of bits, number of
+    values."""
 
     bit: int
     length: int
@@ -82,9 +84,11 @@ identifier bytes at the start of the input."""
 
 
 class ChecksumKind(Struct, frozen=True):
-    """One kind of checksum: how to make a message's checksum (may raise ConfigError), its counter.
+    """One kind of checksum.
 
-    in_signal: function of a kind that has its own signal and covers identifier bytes and payload.
+    make: returns the checksum of a message; may raise ConfigError. counter: the counter that
+    belongs to the kind. in_signal: function of a kind that has its own signal and covers identifier
+    bytes and payload.
     """
 
     make: Callable[[Message, ChecksumOptions], ChecksumSpec]
@@ -122,7 +126,8 @@ def e2e_profile_1(
 ) -> ChecksumSpec:
     """E2E profile 1 (variant 1A: mode both; 1B: alternating; 1C: nibble) [PRS_E2E_00195...].
 
-    Offsets are in bits as in AUTOSAR. The CRC's is a multiple of 8, the others are multiples of 4.
+    Offsets are in bits as in AUTOSAR. `crc_bit` is a multiple of 8; `counter_bit` and `nibble_bit`
+    are multiples of 4.
     """
     low, high = _id_bytes(data_id)
     prefixes: tuple[bytes, ...]
@@ -148,8 +153,8 @@ def e2e_profile_1(
 
 
 def e2e_profile_2(size: int, data_ids: Sequence[int], crc_bit: int = 0) -> ChecksumSpec:
-    """E2E profile 2: CRC-8H2F. The last input is the data id that the counter selects (the low
-    nibble of the next byte)."""
+    """E2E profile 2: CRC-8H2F. The counter is the low nibble of the byte after the CRC. The counter
+    selects the data id that is the last input of the CRC."""
     if len(data_ids) != E2E_COUNTER_VALUES:
         raise ConfigError(
             f"E2E profile 2 needs {E2E_COUNTER_VALUES} data ids; {len(data_ids)} are given"
@@ -169,7 +174,7 @@ def e2e_profile_2(size: int, data_ids: Sequence[int], crc_bit: int = 0) -> Check
 
 
 def e2e_profile_5(size: int, data_id: int, offset_bit: int = 0) -> ChecksumSpec:
-    """E2E profile 5: CRC-16 (low byte first), counter in the byte after it."""
+    """E2E profile 5: CRC-16 (low byte first); the counter is the byte after the CRC."""
     suffix = bytes(_id_bytes(data_id))
     return ChecksumSpec(size, _byte_of(offset_bit), 2, CCITT_POLYNOMIAL, 0xFFFF, suffixes=(suffix,))
 
@@ -182,7 +187,8 @@ def e2e_profile_11(
     counter_bit: int = 8,
     nibble_bit: int = 12,
 ) -> ChecksumSpec:
-    """E2E profile 11 (variant 11A: mode both; 11C: nibble). As profile 1, with only two modes."""
+    """E2E profile 11 (variant 11A: mode both; 11C: nibble). Profile 11 is profile 1 with only two
+    modes."""
     if mode not in ("both", "nibble"):
         raise ConfigError(f"{mode!r} is not a data id mode of E2E profile 11")
     return e2e_profile_1(size, data_id, mode, crc_bit, counter_bit, nibble_bit)

@@ -7,20 +7,20 @@ signal (not available, implausible) are checked in `quantities`.
 
 Order of the checks:
 
-1. "short_frame".
-2. "long_frame", only with a checksum: such a frame has the length of its profile, or the next
-   length that CAN FD can carry.
-3. "checksum" (with the data id).
-4. "counter_invalid". After a failure of 1 to 4, the counter of the frame is not used.
-5. The counter compared with the last good frame: "counter_repeated" (a stuck counter or a frame
-   sent again), "counter_reversed" (an old frame), "counter_jump".
-6. "too_early": the sender cannot have sent one more frame yet, with its cycle.
+1. "short_frame". 2. "long_frame", only with a checksum: such a frame has the length of its profile,
+or the next length that CAN FD can carry. 3. "checksum" (with the data id). 4. "counter_invalid".
+After a failure of 1 to 4, the counter of the frame is not used. 5. The counter compared with the
+last good frame: "counter_repeated" (a stuck counter or a frame sent again), "counter_reversed" (an
+old frame), "counter_jump". 6. "too_early": with its cycle time, the sender cannot have sent another
+frame yet.
 
-A counter that comes twice with other data shows two senders, and nothing shows which of them is
-ours. All frames of the next `HELD_S` are dropped ("untrusted"). The first frame was already used:
-only authentication would prevent that. A foreign frame is accepted from `EARLIEST` after ours, so
-ours follows in the rest of the cycle; a sender that forgot to count follows after a whole cycle.
-The limit is halfway. With an older frame in between, it is `WAITS` cycles.
+Two frames with the same counter and different data show two senders. The frames do not show which
+sender is the true one, so all frames of the next `HELD_S` are dropped ("untrusted"). The first
+frame of the false sender was already used; only authentication would prevent this. A false frame is
+accepted from `EARLIEST` cycles after a true frame, and the next true frame follows within `1 -
+EARLIEST` cycles. A single sender with a stuck counter repeats the counter after a whole cycle. The
+limit between the two cases is the mean of both times. If an older frame comes between the two
+frames, the limit is `WAITS` cycles.
 
 A lost frame is not a fault. If the time is long enough for a step of the counter (see `schedule`),
 the step is counted as lost frames, unless a largest step is stated. Frames dropped for a wrong

@@ -49,7 +49,7 @@ class ProtectionSpec(Struct, frozen=True):
     """The protection of one message.
 
     size: length [bytes]. cycle_time [s]: None means no time-out. cycle_is_sure: if True, the cycle
-    is checked from the first frames on; if False, it is tried first.
+    is checked from the first frames on; if False, the stated cycle is tried first.
     """
 
     size: int

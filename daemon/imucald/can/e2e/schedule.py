@@ -1,11 +1,11 @@
 """Compute when the frames of a cyclic sender are due, to detect lost frames and extra frames.
 
-A cyclic sender follows a schedule: after `step` counts, the next frame is due `step` cycles later.
-A frame may be late because of jitter, a gateway that sends batches, a coarse time stamp, or a
-blocked queue. The lateness is stored as a credit. The credit allows the next frames to follow
-closely, and it decreases with time. A frame without credit that arrives before 0.4 cycles have
-passed is not from this sender. The same holds for a counter that is more than twice as far ahead as
-the elapsed time allows.
+A cyclic sender follows a schedule: a frame whose counter is `step` higher is due `step` cycles
+later. A frame may be late because of jitter, a gateway that sends batches, a coarse time stamp, or
+a blocked queue. The delay is stored as a credit. The credit allows the next frames to follow
+closely, and it decreases with time. A frame is not from this sender if there is no credit and fewer
+than 0.4 cycles have passed. A frame is also not from this sender if its counter is more than twice
+as far ahead as the elapsed time allows.
 
 The cycle is learnt from counters and times during `LEARN_S`, and then tried for the same time. A
 sender without a schedule (frames on change) is checked only by its counter. Until the cycle is
@@ -35,11 +35,11 @@ time."""
 FADES_S = 2.0
 """Time in which a credit decreases to zero [s]."""
 BATCH = 0.03
-"""Extra credit after a pause, as a share of the pause. Of two batches, one may have one frame
-more."""
+"""Extra credit after a pause, as a share of the pause. One batch of frames may have one frame more
+than another batch."""
 LEARN_S, LEARN_STEPS = 5.0, 50
-"""Time [s] and number of cycles for learning a cycle. The same time and number without an early
-frame confirm it."""
+"""Time [s] and number of cycles for learning a cycle. The cycle is confirmed if no frame is early
+for the same time and number of cycles."""
 REMEMBERED_S = 600.0
 """Longest averaging time of the cycle [s]. The time is limited because clocks drift while they warm
 up. The time is this long because of time stamps in whole seconds."""
@@ -50,8 +50,8 @@ OWN, WAITS = 3, 1.5
 """OWN: the cycle has changed if the sender's own early frames exceed foreign ones by this number.
 WAITS: after a foreign early frame, the sender's own frame arrives within this number of cycles."""
 LONGER, MOST_TRIALS = 4.0, 6
-"""LONGER: factor of the duration of the next trial after each such change. MOST_TRIALS: largest
-number of times that the factor is applied."""
+"""LONGER: each change of the cycle multiplies the duration of the next trial by this factor.
+MOST_TRIALS: largest number of times that the factor is applied."""
 
 
 HELD_S = 2.0
@@ -61,12 +61,13 @@ HELD_S = 2.0
 class Past(Struct):
     """The state of a message with which its next frame is compared.
 
-    t: time stamp of the last counted frame [s]. counter: its counter, -1 if none. data: its bytes,
-    if its counter was new. missed: frames known to be missing since then. distrust: number of good
-    frames still to be dropped. lost: number of lost frames according to the counter. due: time when
-    the last frame was due [s], not after t. cycle: mean cycle [s] over `steps` steps since `begun`;
-    0 if not known. tried: time of the last early frame in phase TRIAL [s]. early: number of early
-    frames, see `MOST_EARLY`. overtaken: bytes of the frame before an older one.
+    t: time stamp of the last counted frame [s]. counter: counter of this frame, -1 if none. data:
+    bytes of this frame, if its counter was new. missed: number of frames known to be missing since
+    this frame. distrust: number of good frames still to be dropped. lost: number of lost frames
+    according to the counter. due: time when the last frame was due [s], not after t. cycle: mean
+    cycle [s] over `steps` steps since `begun`; 0 if not known. tried: time of the last early frame
+    in phase TRIAL [s]. early: number of early frames, see `MOST_EARLY`. overtaken: bytes of the
+    last counted frame, if a frame with an older counter came after it.
     contradicted: time of the last frame that showed another sender [s].
     """
 
@@ -97,7 +98,8 @@ class Past(Struct):
         self.steps = float(LEARN_STEPS) if phase == TRIAL else REMEMBERED_S / cycle
 
     def begin(self, t: float, since: float) -> None:
-        """Process the first frame, or one after a silence. Delayed frames may follow closely."""
+        """Process the first frame, or the first frame after a silence. Delayed frames may follow
+        closely."""
         if math.isnan(since) and self.phase != LEARN:
             self.due = t - 0.5 * CREDIT_S
             self.begun = t - self.steps * self.cycle
@@ -110,13 +112,14 @@ class Past(Struct):
             self._learn(t)
 
     def due_after(self, since: float) -> float:
-        """Return when the last frame was due [s], with its lateness reduced by the time since."""
+        """Return the time when the last frame was due [s]. The delay of this frame is reduced in
+        proportion to the time since then."""
         return self.t - (self.t - self.due) * max(0.0, 1.0 - since / FADES_S)
 
     def refuse_early(self, t: float, counter: int, modulus: int) -> None:
-        """Register a frame that arrived too early. The next frame is not compared with it.
+        """Register a frame that arrived too early. The next frame is not compared with this frame.
 
-        counter: its value, below `modulus`. Without a counter: -1, with modulus 1.
+        counter: counter of the frame, below `modulus`. Without a counter: -1, with modulus 1.
         """
         if self.early_counter < 0:
             self.early_counter, self.chain, self.early_t = counter, counter, t

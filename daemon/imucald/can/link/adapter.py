@@ -9,8 +9,8 @@ raises ValueError, and a third returns a frame whose id is not a number. Such er
 frames do not close the link. A driver counts as gone only if it fails all the time.
 
 This module also finds our own frames on a bus that returns frames to their sender. Multicast sends
-a frame to every socket of the group, including the sender's, without a mark. Without this filter,
-our own frames would look like frames of another node and raise an alarm.
+a frame to every socket of the group, including the sender's own socket, without a mark. Without
+this filter, our own frames would look like frames of another node and raise an alarm.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ ECHO_S = 0.5
 """Largest delay of an echo [s]. The network stack returns it at once, but a busy loop reads late.
 A frame of another node is mistaken for ours only if id, counter, checksum and values are equal."""
 MAX_WAITING = 4096
-"""Largest number of expected echoes. Beyond it, the oldest are dropped."""
+"""Largest number of expected echoes. If there are more, the oldest are dropped."""
 
 
 class Echoes:
@@ -75,17 +75,16 @@ SEND_WAIT = 0.002
 """Longest time that an adapter may block when its transmit queue is full [s]."""
 
 FAILING_S = 0.2
-"""A driver that fails all the time for this long counts as gone [s]. A damaged frame or a burst of
-them ends sooner: the next attempt returns a good frame (an accelerometer sends at least ten per
-second) or reports that no frame waits. The value equals the check period of a silent SocketCAN
-interface."""
+"""A driver counts as gone if it fails all the time for this long [s]. Damaged frames cause shorter
+failures: the next attempt returns a good frame (an accelerometer sends at least ten per second) or
+reports that no frame waits. The value equals the check period of a silent SocketCAN interface."""
 
 MAX_FAILURES = 32
 """Largest number of consecutive failed attempts in one call."""
 
 FAILURE_PAUSE_S = 0.002
-"""Pause after that many failures [s]. A driver that is gone fails at once and would use a whole
-core."""
+"""Pause after `MAX_FAILURES` failures [s]. A driver that is gone fails at once and would use a
+whole core."""
 
 MAX_STAMP = 2**53 / 1e6
 """Largest time stamp at which a float is exact to the microsecond [s]: the year 2255."""
@@ -94,7 +93,8 @@ MULTICAST = "udp_multicast"
 IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
 """Constants of linux/in.h and linux/in6.h that Python does not define."""
 MOST_WAITING = 10_000
-"""More datagrams than a socket's receive buffer holds at its start (208 KiB, 256 B each at least).
+"""Largest number of datagrams that are dropped at the start. A socket's receive buffer holds fewer
+datagrams at its start (208 KiB, at least 256 B per datagram).
 """
 
 ECHOING = (MULTICAST,)

@@ -186,7 +186,8 @@ MIN_RETRY = 0.05
 """First pause before a lost interface is opened again [s]. The pause doubles after each attempt."""
 
 MAX_RETRY = 0.2
-"""Longest such pause [s]. Frames must resume within 1 s, also on a busy machine."""
+"""Longest pause before a lost interface is opened again [s]. Frames must resume within 1 s, also on
+a busy machine."""
 
 CHECK_PERIOD = 0.2
 """Period of the check that the interface of a silent bus still exists and is up [s]."""

@@ -1,8 +1,8 @@
 """Send without blocking: a short buffer for times when the interface's queue is full.
 
 A classic CAN interface queues ten frames by default. A burst of our frames on a busy bus exceeds
-this for some milliseconds; then no frame should be lost. If the queue stays full, frames are
-dropped, because a corrected sample is useless when it is late.
+this number for some milliseconds. No frame of such a burst should be lost. If the queue stays full,
+frames are dropped, because a corrected sample is useless when it is late.
 """
 
 from __future__ import annotations
@@ -31,9 +31,8 @@ class SendingPort(Protocol):
 class Outbox:
     """Held frames in their order. Stored frames are sent as soon as the port accepts them.
 
-    on_sent, on_dropped: called for each frame that was sent or dropped.
-    Every OSError that does not mean a full queue is raised to the caller. The frame that caused it
-    is removed.
+    on_sent, on_dropped: called for each frame that was sent or dropped. Every OSError that does not
+    mean a full queue is raised to the caller. The frame that caused the error is removed.
     """
 
     def __init__(

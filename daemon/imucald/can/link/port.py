@@ -22,7 +22,7 @@ class Port(SendingPort, Protocol):
         """Return a descriptor to wait on, if there is one."""
 
     def close(self) -> None:
-        """Close it."""
+        """Close the interface."""
 
     def receive(self, timeout: float) -> list[Frame]:
         """Wait for a frame, then return all waiting frames."""
@@ -46,7 +46,8 @@ def open_port(
     options: Mapping[str, Any] | None,
     receive_buffer: int,
 ) -> Port:
-    """Open an interface; parameters as in `Link`. Raises OSError, or LinkError if hopeless."""
+    """Open an interface; parameters as in `Link`. Raises OSError, or LinkError if later attempts
+    would fail too."""
     if interface == "socketcan":
         return SocketCan(channel, filters, fd=fd, receive_buffer=receive_buffer)
     from imucald.can.link.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)

@@ -1,16 +1,16 @@
 """A raw SocketCAN socket, read in batches: kernel filters, kernel time stamps, counted losses.
 
-python-can is used for every other interface (see link.py). Our own socket is cheaper and more exact
-on a gateway's bus. Filters are set before the socket is bound, so unwanted frames are never queued.
-`SO_RXQ_OVFL` gives the number of our frames that the kernel dropped. A read costs one system call
-and creates only a tuple.
+python-can is used for every other interface (see link.py). On a busy bus, our own socket needs less
+processor time and gives more exact time stamps. Filters are set before the socket is bound, so
+unwanted frames are never queued. `SO_RXQ_OVFL` gives the number of our frames that the kernel
+dropped. Reading a frame takes one system call and creates only a tuple.
 
 The code uses these facts about the kernel (net/can/raw.c). If the interface goes down, its socket
 gets ENETDOWN once and stays bound, so frames resume without action. If the interface is deleted,
 the socket gets ENODEV and is no longer bound. The socket then receives nothing, even if an
 interface of the same name is created. The error is reported before the waiting frames. The number
-of dropped frames would be reported only with the next frame. Therefore both are read when a socket
-is abandoned.
+of dropped frames would be reported only with the next frame. Therefore the waiting frames and the
+number of dropped frames are read when a socket is abandoned.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_MEMINFO = 55
 _MEMINFO = struct.Struct("@9I")
-"""Layout in linux/sock_diag.h. The last number is the drops of the kernel, as in `SO_RXQ_OVFL`."""
+"""Layout of a socket's memory information (linux/sock_diag.h). The last number counts the frames
+that the kernel dropped, as in `SO_RXQ_OVFL`."""
 _CAN_RAW_ERR_FILTER = 2
 _CAN_RAW_FD_FRAMES = 5
 _SIOCGIFFLAGS = 0x8913
@@ -163,8 +164,8 @@ class SocketCan:
     def _stamp(self, ancillary: list[tuple[int, int, bytes]]) -> float:
         """Return the kernel's time stamp [s], and count the drops that it reports.
 
-        The stamp is cut to microseconds and divided once. The double is then equal to the one from
-        candump's record of the same frame.
+        The stamp is cut to microseconds and divided once. The double is then equal to the time that
+        candump records for the same frame.
         """
         stamp = 0.0
         for _, kind, content in ancillary:
@@ -215,7 +216,8 @@ class SocketCan:
             return False
 
     def is_up(self) -> bool:
-        """True if the interface is up. The ioctl uses our socket; no other family is needed."""
+        """True if the interface is up. The ioctl uses our socket, so no socket of another family is
+        needed."""
         request = _FLAGS_REQUEST.pack(os.fsencode(self._channel), 0)
         try:
             answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request)

@@ -68,7 +68,8 @@ _HEX = re.compile(rb"[0-9A-Fa-f]*")
 
 
 class Line(NamedTuple):
-    """A valid line. kind: data, remote_frame, error_frame or xl_frame. Other fields: data only."""
+    """A valid line. kind: data, remote_frame, error_frame or xl_frame. The other fields are set
+    only for data."""
 
     kind: str
     t: float
@@ -115,7 +116,7 @@ def parse_line(text: bytes) -> Line | str | None:
 
 
 def _reason(text: bytes) -> str:
-    """Return why an invalid line is not valid."""
+    """Return the reason why a line is invalid."""
     if b"\0" in text:
         return "nul_bytes"
     stamp = _STAMP.match(text)

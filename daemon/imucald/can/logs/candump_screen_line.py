@@ -41,7 +41,8 @@ def frame_of_line(line: bytes, match: re.Match[bytes] | None) -> ScreenFrame | L
     """Return the frame of a line, or the reason why it has none, or the kind of a frame without
     data.
 
-    match: of the pattern `PRINTED`; None if the line does not have candump's form.
+    match: match of the line with the pattern `PRINTED`; None if the line does not have candump's
+    form.
     """
     return _as_cansend(line) if match is None else _as_printed(match)
 
@@ -76,7 +77,8 @@ def _as_cansend(line: bytes) -> ScreenFrame | LineFault | str:
 
 
 def _data(rest: bytes, length: int) -> bytes | None:
-    """Return the bytes of a frame, printed in one of four forms; None if the number is wrong."""
+    """Return the bytes of a frame, printed in one of four forms; None if the number of bytes is
+    wrong."""
     if not length:
         return b""
     end = 3 * length - 1

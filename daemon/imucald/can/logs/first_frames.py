@@ -28,8 +28,8 @@ UNITS: Final = {
 }
 """The unit of time stamps, by the factor by which they are too large."""
 YEAR_10000: Final = 253_402_300_800.0
-"""The year 10000 in seconds since 1970. The year is later than any recording. A time stamp of this
-century in milliseconds is larger."""
+"""The year 10000 in seconds since 1970. No recording has a later time stamp in seconds, and a time
+stamp of this century in milliseconds is larger than this number."""
 YEAR_2100: Final = 4_102_444_800.0
 TOLERANCE: Final = 1.5
 """Accepted factor between a message's cycle and the stated cycle, as in `check`."""
@@ -113,7 +113,8 @@ class FirstFrames:
 
 
 def _by_date(t: float) -> float | None:
-    """Return the divisor that gives a stamp of this century; None if the stamp already is one."""
+    """Return the divisor that converts a stamp to seconds of this century; None if the stamp is not
+    too large."""
     if t < YEAR_10000:
         return None
     return next((f for f in UNITS if f > 1.0 and t / f < YEAR_2100), None)

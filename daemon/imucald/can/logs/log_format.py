@@ -20,15 +20,14 @@ from imucald.can.logs.unpacking import damage_within
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
-"""Largest number of stored texts. This number is enough to see the problem and bounded for any
-file."""
+"""Largest number of stored texts about rejected lines. The limit bounds the memory for any file."""
 
 FOREIGN_LINE: Final = "not_candump"
 """The reason for lines that do not look like a frame at all."""
 
 DAMAGED_STEP: Final = 10.0
 """In a damaged file, a larger step of time stamps is a sign of damage [s]. The value is equal to
-the longest gap that stream time bridges."""
+the longest gap that does not start a new segment (`runtime.timebase`)."""
 
 
 class DamageError(Exception):
@@ -36,7 +35,8 @@ class DamageError(Exception):
 
 
 class _ForeignLines:
-    """A run of lines that do not have the file's format. problem: its index in the problems."""
+    """A run of lines that do not have the file's format. problem: index of the run's text in the
+    problems."""
 
     def __init__(self, name: str, line: int, text: str, problem: int | None) -> None:
         self.name, self.text, self.problem = name, text, problem
@@ -113,8 +113,8 @@ class ReadStatistics:
             self._foreign = _ForeignLines(name, number, text, problem)
 
     def note(self, text: str) -> None:
-        """Report something that reduces the value of a log. In strict mode it raises LogError,
-        which states that this, and not a bad line, is the reason."""
+        """Store a text about something that reduces the value of a log. In strict mode, LogError is
+        raised; its text states that this is not a bad line."""
         if self.strict:
             raise LogError(f"{text} (with --strict, such a log is refused)")
         self.problems.append(text)

@@ -13,8 +13,8 @@ CLOCK_SET_S: Final = 946_684_800.0
 """The year 2000 [s]. A log that begins earlier has no time of day; it counts from its start."""
 
 COMPLETE: Final = 0.99
-"""Part of the shorter log from which an overlap is called complete: two logs of one length seldom
-begin with the same frame."""
+"""An overlap is called complete if it covers at least this share of the shorter log. The limit is
+below 1, because two logs of equal length seldom begin with the same frame."""
 
 Log = Path | str | OpenLog
 

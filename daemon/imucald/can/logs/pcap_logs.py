@@ -54,7 +54,7 @@ OTHER_LINKS: Final = {
 VOTERS: Final = 64
 """Number of first packets used to find the byte order of ids."""
 FD_MARK: Final = 0x04
-"""CANFD_FDF in the frame's flags."""
+"""The flag CANFD_FDF: the frame has CAN FD format."""
 
 
 class PcapReader:

@@ -44,7 +44,8 @@ SPACED_FORMATS: Final = (".asc", ".trc")
 """Formats that write data bytes separated by spaces, with two digits each."""
 
 LAST_BYTES: Final = 1024
-"""Bytes read at the end of such a file. Its last line is shorter."""
+"""Number of bytes read at the end of a file with spaces between data bytes. The last line is
+shorter than this."""
 
 MIN_TOKENS: Final = 6
 """Smallest number of words in a line before the first data byte."""
@@ -153,7 +154,8 @@ class PythonCanReader:
             yield columns_of_frames(batch, self._channels.names)
 
     def _heard(self, reader: Iterable[Any], path: Path) -> Iterator[Any]:
-        """Yield the messages of a reader. Its warnings are about skipped data: rejections."""
+        """Yield the messages of a reader. The reader warns about skipped data; each warning is
+        counted as a rejection."""
         warned: list[str] = []
         handler = logging.Handler(logging.WARNING)
         handler.emit = lambda record: warned.append(record.getMessage())  # type: ignore[method-assign]

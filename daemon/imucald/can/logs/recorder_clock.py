@@ -36,8 +36,8 @@ FD_BIT_S: Final = BIT_S / 8
 HEAD_BITS, FD_HEAD_BITS, FD_TAIL_BITS, LONG_ID_BITS = 47, 30, 28, 20
 """Bits of a frame without its data: with the gap after it, without stuff bits (ISO 11898-1)."""
 LEAST_GAP: Final = 0.9
-"""Smallest distance of the ends of two frames, as a share of the second frame's time on the bus. It
-would be 1 without the limited resolution of the stamps."""
+"""Smallest time between the ends of two frames, as a share of the second frame's time on the bus.
+The share would be 1 if the stamps had no limited resolution."""
 SAME_ID_SHARE: Final = 0.25
 """Time stamps are coarse if more than this share of the frames has another frame of the same id in
 its run. A run is a sequence of frames that follow each other faster than a bus allows."""
@@ -47,16 +47,19 @@ BACKLOG_S: Final = 2.0
 MIN_LOOPS: Final = 5
 """If the same step back occurs at least this number of times, the clock restarts."""
 LOOP_TOLERANCE: Final = 0.1
-"""Largest relative difference of such steps, caused by the gaps between frames."""
+"""Largest relative difference between the steps back of a clock that restarts. The gaps between
+frames cause the difference."""
 ROOM_PART: Final = 100
-"""One of this number of gaps between frames is longer than the assumed gap at the restart."""
+"""The gap at a restart of the clock is assumed to be at most as long as the longest of every 100
+gaps between frames."""
 DELTA_SHARE: Final = 0.2
 """If at least this share of steps goes back, the stamps are time differences. For differences,
 half of the steps go back."""
 MIN_FRAMES: Final = 64
 """Smallest number of frames for finding the resolution."""
 MAX_STEP: Final = 1.5
-"""A longer gap (in usual steps) is a hole. The frames after it belong to the last step."""
+"""A longer gap between bursts (in usual steps) counts as a hole in the recording. The frames after
+a hole are spread over one usual step."""
 
 
 def by_the_clock(
@@ -237,7 +240,8 @@ def _burst_step(frames: FrameColumns) -> float:
 
 
 def _is_copy(frames: FrameColumns) -> NDArray[np.bool_]:
-    """Return which frames (N,) copy the previous frame; of many equal ones, every second one."""
+    """Return which frames (N,) copy the previous frame. In a run of equal frames, every second
+    frame counts as a copy."""
     same = np.zeros(len(frames), dtype=bool)
     same[1:] = (np.diff(frames.t) == 0.0) & (frames.data[1:] == frames.data[:-1]).all(axis=1)
     for column in (frames.can_id, frames.length, frames.channel):

@@ -15,8 +15,8 @@ _TABLE = "messages"
 
 
 def why_not_stored(path: Path) -> str | None:
-    """Return why the messages cannot be read. None if they are a plain table, or if something is
-    missing that the reader reports."""
+    """Return why the messages cannot be read. None if they are a plain table. Missing parts also
+    give None, because the reader reports them."""
     with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
         try:
             found = db.execute(

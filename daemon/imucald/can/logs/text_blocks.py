@@ -93,9 +93,9 @@ def looked_at(
     """Return the first stored bytes of a log, and the source to read instead of it.
 
     A source that can be read only once (a pipe, standard input) is returned open, because a second
-    opening would lack its beginning. It is closed at the end. An open log is read once for its
-    first bytes; waiting for more bytes could take forever. Raises LogError if the log cannot be
-    opened.
+    opening would lack its beginning. The source is closed at the end of the context. An open log is
+    read once for its first bytes, because waiting for more bytes could take forever. Raises
+    LogError if the log cannot be opened.
     """
     with open_source(path) as opened:
         source: ByteSource = opened
@@ -170,7 +170,7 @@ class TextBlocks:
         """Yield (buffer, size) with complete lines. The bytes are valid until the next block.
 
         A line longer than `longest_line` may lose bytes after that length, so that memory is
-        bounded. It stays one line that is too long.
+        bounded. The shortened line is still longer than `longest_line`.
         """
         buf = np.frombuffer(self._store, np.uint8)
         while self._fill():

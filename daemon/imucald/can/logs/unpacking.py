@@ -1,4 +1,5 @@
-"""Unpack compressed logs (gzip, xz, bzip2, Zstandard) in pieces. First bytes show the format."""
+"""Unpack compressed logs (gzip, xz, bzip2, Zstandard) in pieces. Their first bytes show the
+format."""
 
 from __future__ import annotations
 
@@ -158,7 +159,8 @@ _MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
 MAGIC_BYTES: Final = max(map(len, _MEMBERS))
 """Number of first bytes that identify compressed files."""
 _ZSTD_PIECE: Final = 1 << 8
-"""Bytes of input per call of Zstandard. It returns all output at once, at most 8 MiB for these."""
+"""Bytes of input per call of Zstandard. Zstandard returns the whole output of a call at once: at
+most 8 MiB for this number of bytes."""
 FREE_BYTES: Final = 64 << 20
 """Size up to which every file may unpack [bytes]."""
 MOST_TIMES: Final = 1000
@@ -166,7 +168,7 @@ MOST_TIMES: Final = 1000
 far below because of the time stamps, even if all frames are equal."""
 KEPT_SHARE: Final = 0.05
 KEPT_BYTES: Final = 1 << 30
-"""Temporary files leave this share of the disk free, or this many bytes if that is less."""
+"""Temporary files leave KEPT_SHARE of the disk free, but not more than KEPT_BYTES [bytes]."""
 
 MOST_OF_A_BYTE: Final = 1032
 """Largest number of bytes that deflate unpacks from one byte."""
@@ -347,7 +349,7 @@ def _unpack(stream: Unpacked, plain: Any, path: Path) -> str:
 def keep_disk_free(path: str | os.PathLike[str]) -> None:
     """Raise OSError if a temporary file uses disk space that must stay free.
 
-    All processes share the disk, so this limits all of them together.
+    All processes share the disk, so the limit holds for all of them together.
     """
     disk = shutil.disk_usage(path)
     kept = min(KEPT_SHARE * disk.total, KEPT_BYTES)

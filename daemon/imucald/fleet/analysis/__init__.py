@@ -1,2 +1,2 @@
-"""The history of the vehicles' mounts, from the estimates and covariances of all drives: statistics
-without I/O."""
+"""Statistics of a fleet: the history of each vehicle's mount, computed from the mount estimates of
+all drives. The modules have no I/O."""

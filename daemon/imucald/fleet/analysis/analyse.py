@@ -40,10 +40,11 @@ OF_VEHICLE = ("vehicle_type", "sensor_serial", "sensor_batch", "firmware")
 def analysed(
     columns: Columns, groups: Sequence[str] = GROUPS, shifts: Sequence[Mapping[str, Any]] = ()
 ) -> dict[str, Rows]:
-    """Analyse all drives together. columns: those of `drives`, sorted by vehicle and time.
+    """Analyse all drives together. columns: columns of `drives`, sorted by vehicle and time.
 
-    shifts: rows of `events` of the kind "shift": moves of the sensor found within a drive. Returns
-    the rows of each table of `analysis_columns`. Times have the same form as in the columns.
+    shifts: rows of `events` with the kind "shift": moves of the sensor that were found within a
+    drive. Returns the rows of each table in `analysis_columns`. Times have the same form as in
+    `columns`.
     """
     found: dict[str, Rows] = {
         "analysis/causes": cause_rows(columns),
@@ -84,7 +85,7 @@ def _number(value: float) -> float | None:
 
 
 def _mounts(rotation: Rotation, half_width: Array, prefix: str = "") -> Rows:
-    """Quaternion (w not negative), angles and interval of each mount."""
+    """Return rows with quaternion (w not negative), angles and 95 % intervals of each mount."""
     quaternions = rotation.as_quat(canonical=True)
     angles = rotation.as_euler("ZYX", degrees=True)
     return [
@@ -101,8 +102,8 @@ def _mounts(rotation: Rotation, half_width: Array, prefix: str = "") -> Rows:
 
 
 def _of_angles(form: str, R_vehicle_from_sensor: Array, half_width: Array) -> dict[str, Any]:
-    """Half widths of the 95 % intervals of roll, pitch and yaw [deg], from those about x, y, z
-    (3,)."""
+    """Convert the half widths (3,) of the 95 % intervals about x, y, z to half widths for roll,
+    pitch and yaw [deg]."""
     if not np.isfinite(half_width).all():
         return dict.fromkeys(map(form.format, ANGLES))
     covariance = np.diag((half_width * RAD_PER_DEG / SD_95) ** 2).tolist()
@@ -215,8 +216,8 @@ def _remount_rows(columns: Columns, drives: KnownDrives, remounts: Remounts) -> 
 
 
 def _within_rows(columns: Columns, shifts: Sequence[Mapping[str, Any]]) -> Rows:
-    """Rows of moves found within drives: each lies between the drive's start and the time of its
-    detection."""
+    """Return rows for the moves that were found within drives. The time of a move is between the
+    start of the drive and the detection."""
     row_of = {key: i for i, key in enumerate(columns["log_key"])}
     rows = []
     for shift in shifts:

@@ -14,7 +14,8 @@ from scipy.stats import betabinom, binom, false_discovery_control
 from imucald.fleet.analysis.units import MAX_Q
 
 FEW_VEHICLES = 3
-"""A cause in fewer vehicles is not called a design cause, even if their type is small."""
+"""A cause that occurs in fewer vehicles than this is never called a design cause, even if the type
+has few vehicles."""
 IN_BRACKETS = re.compile(r"\s*\([^)]*\)")
 FIGURES = re.compile(r"\d+(\.\d+)?")
 UNKNOWN = "unknown"
@@ -23,13 +24,13 @@ DIAGNOSED = "diagnosed: "
 
 
 def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Return a row for each cause of each type: number of vehicles that have it, the shrunk rate,
-    and the verdict.
+    """Return a row for each cause in each vehicle type: number of vehicles with the cause, the
+    shrunk rate, and the verdict.
 
-    A cause is "design" if the number of vehicles of the type that have it is too high for the rate
-    among all other vehicles (binomial tail, Benjamini-Hochberg over all). Otherwise it is "single
-    vehicles". The rate is shrunk to that of the fleet by a beta prior fitted to the types
-    (empirical Bayes).
+    The verdict is "design" if more vehicles of the type have the cause than the rate among all
+    other vehicles explains (binomial tail, Benjamini-Hochberg over all rows). Otherwise the verdict
+    is "single vehicles". The rate is shrunk towards the rate of the fleet with a beta prior that is
+    fitted to the types (empirical Bayes).
     """
     kind_of: dict[str, str] = {}
     having: dict[str, set[str]] = defaultdict(set)
@@ -83,7 +84,8 @@ def _counted(
 
 
 def _beta_prior(counts: Sequence[int], sizes: Sequence[int]) -> tuple[float, float]:
-    """Beta prior with the mean rate of all types, and the strength of maximum likelihood."""
+    """Return the two parameters of a beta prior. Its mean is the rate of all types together; its
+    strength has the maximum likelihood."""
     rate = (sum(counts) + 0.5) / (sum(sizes) + 1.0)
     strengths = np.geomspace(1.0, 1000.0, 40)
     likely = [betabinom.logpmf(counts, sizes, s * rate, s * (1.0 - rate)).sum() for s in strengths]
@@ -92,8 +94,8 @@ def _beta_prior(counts: Sequence[int], sizes: Sequence[int]) -> tuple[float, flo
 
 
 def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Count drives that never became usable, by type and by the condition that the first open angle
-    waited for."""
+    """Count the drives that never became usable, by vehicle type and by missing condition. The
+    condition is the one of the first mount angle that was not determined."""
     drives: Counter[tuple[str, str]] = Counter()
     vehicles: dict[tuple[str, str], set[str]] = defaultdict(set)
     total: Counter[str] = Counter()

@@ -1,9 +1,9 @@
 """Variance components of one axis, by restricted maximum likelihood, with their intervals.
 
-REML (Patterson and Thompson, Biometrika 58, 1971) with known, unequal variances of the single
-values. Each component is estimated separately, one number at a time: D from the differences of the
-drives in a segment (the segments' means are free), T from the differences of the vehicles of a
-type.
+The method is REML (Patterson and Thompson, Biometrika 58, 1971) with known, unequal variances of
+the single values. Each component is estimated separately. D is estimated from the differences
+between the drives in a segment (the means of the segments are free). T is estimated from the
+differences between the vehicles of a type.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class VarianceComponent(NamedTuple):
 
 
 def between_drives(y: Array, P: Array, segment: Index) -> VarianceComponent:
-    """Variance D between drives for one axis. y: (n,) [deg]. P: (n,) variances. segment: (n,)
-    ascending index."""
+    """Return the variance D between drives for one axis. y: (n,) angles of the drives [deg]. P:
+    (n,) variances of y. segment: (n,) index of the segment, ascending."""
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     freedom = len(y) - len(starts)
     if freedom < 1:
@@ -51,8 +51,8 @@ def between_drives(y: Array, P: Array, segment: Index) -> VarianceComponent:
 
 
 def between_vehicles(m: Array, V: Array) -> VarianceComponent:
-    """Variance T between vehicles for one axis. m: (n,) [deg] of the vehicles of a type. V: (n,)
-    their variances."""
+    """Return the variance T between vehicles for one axis. m: (n,) angles of the vehicles of a type
+    [deg]. V: (n,) variances of m."""
     if len(m) < 2:
         return VarianceComponent(0.0, 0.0, LARGEST, 0)
 
@@ -65,8 +65,8 @@ def between_vehicles(m: Array, V: Array) -> VarianceComponent:
 
 
 def _found(deviance: Callable[[float], float], freedom: int) -> VarianceComponent:
-    """The value with the smallest deviance, and the interval ends at which the deviance is 3.84
-    larger."""
+    """Return the value with the smallest deviance. The ends of its interval are the values at which
+    the deviance is larger by 3.84."""
 
     def of_root(x: float) -> float:
         return deviance(x * x)
@@ -91,12 +91,12 @@ def _found(deviance: Callable[[float], float], freedom: int) -> VarianceComponen
 
 
 def robust_variance(squares: Array, known: Array) -> float:
-    """The variance D for which half of the values squares / (D * share + known) are below their
-    median.
+    """Return the variance D for which the median of squares / (D + known) equals the median of
+    chi-square with one degree of freedom.
 
-    squares: (n,) [deg^2], each the square of a normal variable with variance D + known. If a tenth
-    of the values are gross errors, the result changes by about a tenth. The result is used only as
-    a start value.
+    squares: (n,) [deg^2], squares of normal variables with the variances D + known. If a tenth of
+    the values are gross errors, the result changes by about a tenth. The result is used only as a
+    start value.
     """
     if not len(squares):
         return 0.0

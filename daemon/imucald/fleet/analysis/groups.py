@@ -1,4 +1,5 @@
-"""Batches and firmware: compare the vehicles of a group with the other vehicles of their types."""
+"""Compare the vehicles of a group (a sensor batch or a firmware) with the other vehicles of the
+same types."""
 
 from __future__ import annotations
 
@@ -13,16 +14,16 @@ from imucald.core.arrays import Array, Flags, Index
 from imucald.fleet.analysis.units import MAX_Q, Units, t_quantile, t_weights
 
 Codes = Mapping[str, tuple[list[str], Index]]
-"""By column: the names of its groups, and the group index of each vehicle (-1: not known)."""
+"""For each column: the names of the groups, and the group index of each vehicle (-1: not known)."""
 
 LEAST_GROUP = 5
-"""Smallest batch that is tested."""
+"""Smallest number of vehicles of a group that is tested."""
 
 
 @dataclass(frozen=True)
 class GroupEffect:
-    """Difference of the vehicles of a batch from others of their types. p and q are NaN if there
-    are too few vehicles."""
+    """Difference between the vehicles of a group and the other vehicles of the same types. p and q
+    are NaN if there are too few vehicles."""
 
     column: str
     name: str
@@ -42,14 +43,15 @@ class GroupEffect:
 
 
 def group_codes(values: Sequence[str | None]) -> tuple[list[str], Index]:
-    """Names of the groups, and the group index of each vehicle (-1: not known)."""
+    """Return the names of the groups, and the group index of each vehicle (-1: not known)."""
     names = sorted({v for v in values if v is not None})
     index = {name: i for i, name in enumerate(names)}
     return names, np.array([-1 if v is None else index[v] for v in values], dtype=np.int64)
 
 
 def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupEffect]:
-    """Effects of all groups; vehicles of found groups are not used as reference for the others."""
+    """Return the effects of all groups. Vehicles in groups with a found effect are not used as
+    reference for other groups."""
     wide = T[units.kind] + units.v
     w = t_weights(e, wide)[:, None] / wide
     left_out = np.zeros(len(units), dtype=bool)
@@ -74,10 +76,11 @@ def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupE
 def _effects(
     units: Units, sums: Array, used: Flags, column: str, names: Sequence[str], index: Index
 ) -> list[GroupEffect]:
-    """Compare each group with the other vehicles of its types: contrasts by type, combined.
+    """Compare each group with the other vehicles of the same types. The differences within each
+    type are combined.
 
-    sums: (n, 10), for each vehicle its weights, weights times e, the variance of that product, and
-    1.
+    sums: (n, 10), for each vehicle the weights, the products of weights and e, the variances of
+    these products, and 1.
     """
     vehicles = np.bincount(index[index >= 0], minlength=len(names))
     mine = used & (index >= 0)
@@ -115,14 +118,14 @@ def _summed(values: Array, index: Index, length: int) -> Array:
 
 
 def _mean(sums: Array) -> tuple[Array, Array]:
-    """Robust weighted means (n, 3) and their variances (n, 3)."""
+    """Return robust weighted means (n, 3) and their variances (n, 3)."""
     weight = sums[:, 0:3]
     return sums[:, 3:6] / weight, sums[:, 6:9] / weight**2
 
 
 def _p_of(square: float | Array, freedom: float) -> float:
-    """Chance of a sum of squares this large, for three normal variables whose scale was estimated
-    from data."""
+    """Return the probability of a sum of squares that is at least as large as `square`. The sum is
+    over three normal variables whose scale was estimated with `freedom` degrees of freedom."""
     return float(f_distribution.sf(square / 3.0, 3, max(freedom, 1)))
 
 
@@ -139,7 +142,8 @@ def _judged(g: GroupEffect, q: float) -> GroupEffect:
 
 
 def group_offsets(units: Units, effects: Sequence[GroupEffect], codes: Codes) -> Array:
-    """Turns of each vehicle by the found groups (n, 3) [deg]."""
+    """Return the rotation vectors (n, 3) [deg] by which the found group effects rotate the mount of
+    each vehicle."""
     offset = np.zeros((len(units), 3))
     for g in effects:
         if g.found:

@@ -1,4 +1,4 @@
-"""The drives that can be analysed together, as arrays."""
+"""The drives with a known mount, as arrays."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from imucald.core.arrays import Array, Index
 from imucald.mount.estimate import GOOD_NAMES
 
 FLOOR_DEG2 = 1e-4
-"""Smallest variance of a drive [deg^2], from 0.01 deg: no estimate is more accurate, even if it
-claims so."""
+"""Smallest variance of a drive [deg^2], from a deviation of 0.01 deg. No estimate is more accurate,
+even if its stated variance is smaller."""
 DAY_S = 86_400.0
 
 
@@ -25,12 +25,13 @@ class KnownDrives:
     """n drives with a known mount, sorted by vehicle and time.
 
     rotation: R_vehicle_from_sensor. P: (n, 3, 3) covariance of the rotation-vector error about the
-    vehicle's axes [deg^2] without the road crown's part. crown: (n,) standard deviation of that
-    part [deg], a roll, common to a driving side. row: index into the table. vehicle: index into
-    `vehicles`, ascending. kind: index into `kinds` (vehicle types), by vehicle. side: driving side.
-    is_after: (n,) whether it began after the end of all earlier drives of its vehicle; False:
-    drives that overlap or have no time have no order. is_moved: (n,) whether a move of the sensor
-    was found in this drive, or in a drive between it and the known drive before.
+    vehicle's axes [deg^2], without the effect of the road crown. crown: (n,) standard deviation of
+    the roll error from the road crown [deg]; this error is the same for all drives on a driving
+    side. row: index into the table. vehicle: index into `vehicles`, ascending. kind: index into
+    `kinds` (vehicle types), by vehicle. side: driving side. is_after: (n,) True if the drive began
+    after the end of all earlier drives of its vehicle. Drives that overlap or have no time have no
+    order (False). is_moved: (n,) True if a move of the sensor was found in this drive, or in a
+    drive between this drive and the previous drive with a known mount.
     """
 
     rotation: Rotation
@@ -95,10 +96,8 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
 
 
 def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
-    """Start and end times of the drives, as UNIX time [s].
-
-    A drive of a logger without a clock covers its whole day, if the path states the day; otherwise
-    the times are infinite.
+    """Return start and end of the drives, as UNIX time [s]. For a logger without a clock, start and
+    end are those of the day that the path states. Without a day, the times are infinite.
     """
     begin, end = (np.array(columns[name], dtype=float) for name in ("start", "end"))
     for i in np.flatnonzero(np.isnan(begin)).tolist():
@@ -109,7 +108,7 @@ def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
 
 
 def _is_after(begin: Array, end: Array, vehicle: Index) -> NDArray[np.bool_]:
-    """See `KnownDrives`; drives are sorted by vehicle and start time."""
+    """Return `KnownDrives.is_after`. The drives must be sorted by vehicle and start time."""
     found = np.ones(len(begin), dtype=np.bool_)
     latest = -np.inf
     for i in range(len(begin)):
@@ -122,9 +121,9 @@ def _is_after(begin: Array, end: Array, vehicle: Index) -> NDArray[np.bool_]:
 
 
 def _is_moved(shifts: Index, is_after: NDArray[np.bool_], vehicle: Index) -> NDArray[np.bool_]:
-    """See `KnownDrives`. shifts: (n,) number of moves found until each drive's end.
-
-    A move found in one of several drives without an order counts after the last of them.
+    """Return `KnownDrives.is_moved`. shifts: (n,) number of moves found until the end of each
+    drive. If several drives have no order, a move that was found in one of them counts after the
+    last of these drives.
     """
     found = np.zeros(len(shifts), dtype=np.bool_)
     before = 0
@@ -139,8 +138,8 @@ _COVARIANCE = tuple(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz"
 
 
 def _without_crown(pairs: Array, crown: Array) -> Array:
-    """Covariances (n, 3, 3) from their six numbers, minus the crown's part, and never below the
-    floor."""
+    """Return covariances (n, 3, 3) from their six elements. The effect of the road crown is
+    subtracted, and no variance is below `FLOOR_DEG2`."""
     P = pairs[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).copy()
     P[:, 0, 0] -= crown**2
     P[:, 0, 2] = P[:, 2, 0] = 0.0  # only the crown correlates roll and yaw
@@ -150,10 +149,11 @@ def _without_crown(pairs: Array, crown: Array) -> Array:
 
 
 def between(one: Rotation, other: Rotation) -> Array:
-    """Rotation vectors [deg] (n, 3) about the vehicle's axes that turn `other` into `one`."""
+    """Return the rotation vectors [deg] (n, 3) about the vehicle's axes that rotate `other` to
+    `one`."""
     return np.atleast_2d((one * other.inv()).as_rotvec(degrees=True))
 
 
 def turned(R: Rotation, vector_deg: Array) -> Rotation:
-    """Rotate `R` by rotation vectors [deg] about the vehicle's axes."""
+    """Rotate `R` by rotation vectors [deg] about the axes of the vehicle."""
     return Rotation.from_rotvec(vector_deg, degrees=True) * R

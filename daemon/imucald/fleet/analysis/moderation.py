@@ -1,8 +1,10 @@
-"""Variances of several types, each moderated by the common distribution of all types.
+"""Variances of several vehicle types. Each variance is combined with the common distribution of all
+types (moderation).
 
-Empirical Bayes as in Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004): log variances with d degrees of
-freedom scatter by trigamma(d / 2) by chance. Their additional scatter gives the number of degrees
-of freedom of the common variance, relative to a type's own.
+The method is empirical Bayes (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). The logarithm of a
+variance with d degrees of freedom has a random scatter with the variance trigamma(d / 2). The
+additional scatter between types determines the weight of the common variance, as a number of
+degrees of freedom.
 """
 
 from __future__ import annotations
@@ -22,9 +24,10 @@ MOST_FREEDOM = 1e6
 
 
 def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array, Array]:
-    """T (kinds, 3) [deg^2] for tests and shrinkage, and degrees of freedom (kinds,) of T + V.
+    """Return the moderated T (kinds, 3) [deg^2] for tests and shrinkage, and the degrees of freedom
+    (kinds,) of T + V.
 
-    V: (kinds, 3) usual variance of a vehicle's mean. A type with one vehicle has the common T.
+    V: (kinds, 3) usual variance of a vehicle's mean. A type with one vehicle gets the common T.
     """
     own = np.array([[axis.value for axis in kind] for kind in T]).reshape(-1, 3)
     freedom = np.array([kind[0].freedom for kind in T], dtype=float)
@@ -52,8 +55,8 @@ def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array
 
 
 def _freedom(beyond: float) -> float:
-    """Degrees of freedom d for which trigamma(d / 2) has this value; very many if all scatter is
-    chance."""
+    """Return the degrees of freedom d for which trigamma(d / 2) equals `beyond`; a very large
+    number if there is no additional scatter."""
     if beyond <= float(polygamma(1, MOST_FREEDOM / 2.0)):
         return MOST_FREEDOM
     return 2.0 * float(brentq(lambda x: float(polygamma(1, x)) - beyond, 1e-3, MOST_FREEDOM))

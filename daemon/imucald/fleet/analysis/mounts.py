@@ -1,5 +1,5 @@
-"""Mounts of segments and vehicles with their intervals: as measured, and shrunk towards the
-type."""
+"""Mounts of segments and vehicles with their intervals: measured mounts, and mounts shrunk towards
+the mean of the vehicle type."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ NORMAL_95 = 1.959964
 
 @dataclass(frozen=True)
 class Segments:
-    """k segments. rotation: their mounts. V: (k, 3, 3) covariance without the crown [deg^2].
-    crown: (k,) its standard deviation [deg]. vehicle: (k,) index of
+    """k segments. rotation: mounts of the segments. V: (k, 3, 3) covariance without the road crown
+    [deg^2]. crown: (k,) standard deviation of the roll error from the road crown [deg]. vehicle:
+    (k,) index of
     the vehicle. first, last: (k,) indices of the first and the last drive.
     """
 
@@ -35,30 +36,30 @@ class Segments:
 
     @property
     def starts(self) -> Index:
-        """Each vehicle's first segment."""
+        """Index of the first segment of each vehicle."""
         return np.flatnonzero(np.diff(self.vehicle, prepend=-1)).astype(np.int64)
 
     @property
     def ends(self) -> Index:
-        """Each vehicle's last segment."""
+        """Index of the last segment of each vehicle."""
         return np.flatnonzero(np.diff(self.vehicle, append=-1)).astype(np.int64)
 
     def half_width(self) -> Array:
-        """Half width of the 95 % interval (k, 3) [deg], including the crown."""
+        """Half width of the 95 % interval (k, 3) [deg], including the error from the road crown."""
         return interval(np.diagonal(self.V, axis1=1, axis2=2), self.crown)
 
 
 def interval(variance: Array, crown: Array, quantile: float = NORMAL_95) -> Array:
-    """Half width of a 95 % interval (n, 3) [deg]. The crown adds a normally distributed roll,
-    whatever the distribution of the rest."""
+    """Return the half width of the 95 % interval (n, 3) [deg]. The error from the road crown is a
+    normally distributed roll, for any distribution of the other errors."""
     wide = quantile**2 * variance
     wide = wide + np.stack([(NORMAL_95 * crown) ** 2, 0.0 * crown, 0.0 * crown], axis=1)
     return np.sqrt(wide)
 
 
 def segment_mounts(drives: KnownDrives, remounts: Remounts) -> Segments:
-    """The mount of each segment: the mean of its drives' rotation vectors relative to the first
-    drive."""
+    """Return the mount of each segment: the mean of the rotation vectors of its drives. The
+    rotation vectors are relative to the first drive of the vehicle."""
     segment = remounts.segment
     first = np.flatnonzero(np.diff(segment, prepend=-1))
     e = between(drives.rotation, drives.rotation[first[segment]])
@@ -71,15 +72,15 @@ def segment_mounts(drives: KnownDrives, remounts: Remounts) -> Segments:
 
 
 def first_units(drives: KnownDrives, segments: Segments) -> Units:
-    """The first segment of each vehicle: its mount at delivery."""
+    """Return the first segment of each vehicle: the mount at delivery."""
     s = segments.starts
     return Units(segments.rotation[s], segments.V[s], drives.kind, len(drives.kinds))
 
 
 @dataclass(frozen=True)
 class Shrunk:
-    """Present mounts of vehicles. weight: (n, 3) of the vehicle's own data; 1 if it is not shrunk.
-    half_width: (n, 3) of the 95 % interval [deg]."""
+    """Present mounts of vehicles. weight: (n, 3) weight of the vehicle's own data; 1 if the mount
+    is not shrunk. half_width: (n, 3) half width of the 95 % interval [deg]."""
 
     rotation: Rotation
     weight: Array
@@ -87,11 +88,12 @@ class Shrunk:
 
 
 def shrink(drives: KnownDrives, segments: Segments, found: Population) -> Shrunk:
-    """The best estimate of each vehicle: the mean of its own value and its type's, weighted by
-    their variances.
+    """Return the best estimate of each vehicle's mount: the mean of its measured mount and the
+    mount of its type, weighted by the inverse variances.
 
-    A sensor that was moved or stands out no longer represents its type, so its measured value is
-    kept. The same crown affects its own mean and its type's mean, so it counts once.
+    If the sensor was moved or the vehicle is an outlier, the measured mount is not changed, because
+    the sensor does not represent its type. The error from the road crown is the same in both
+    mounts, so it is added only once.
     """
     s, kind = segments.ends, drives.kind
     V, T = segments.V[s], found.tau2[kind]
@@ -111,7 +113,8 @@ def shrink(drives: KnownDrives, segments: Segments, found: Population) -> Shrunk
 
 
 def type_half_width(found: Population, crown: Array) -> Array:
-    """Half width of the 95 % interval of each type's mount (kinds, 3) [deg]; crown: (kinds,)."""
+    """Return the half width of the 95 % interval of the mount of each type (kinds, 3) [deg]. crown:
+    (kinds,) standard deviation of the roll error from the road crown [deg]."""
     rows = []
     for k, freedom in enumerate(found.freedom):
         variance = np.diagonal(found.mean_covariance[k])[None]

@@ -1,10 +1,10 @@
-"""Types of vehicles: their mount, the scatter between vehicles, and vehicles or batches that stand
-out.
+"""Vehicle types: the mount of each type, the scatter between vehicles, and unusual vehicles or
+batches.
 
-Rotation vectors are relative to the type's mount, in the vehicle's axes [deg]. Each vehicle counts
-once, with its first segment, as delivered. The road crown is the same in every vehicle; it cancels
-in all differences. The crown enters the intervals of mounts once and is not divided by the number
-of vehicles.
+Rotation vectors are relative to the mount of the type, in the vehicle's axes [deg]. Each vehicle
+counts once, with its first segment (the mount at delivery). The error from the road crown is the
+same in every vehicle, so it cancels in all differences. This error is added once to the intervals
+of mounts and is not divided by the number of vehicles.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ from imucald.fleet.analysis.units import MAX_Q, T_FREEDOM, Units, t_weights
 ROUNDS = 12
 RESTARTS = 4
 CENTRES = 400
-"""Vehicles from which the first centre is chosen."""
+"""Largest number of vehicles among which the first centre of a type is chosen."""
 LEAST_PLAIN = 5
-"""If a type has fewer vehicles outside found batches, vehicles of these batches enter its mean
-too."""
+"""The mean of a type uses only vehicles outside bad batches. If there are fewer such vehicles than
+this, it also uses vehicles of bad batches."""
 
 
 @dataclass
 class Population:
-    """Result of the analysis. centre: mounts of the types. e: (n, 3) vehicles relative to them,
-    without the offsets of found batches. offset: (n, 3) these offsets. mean_covariance: (kinds, 3,
-    3) of the centres without the crown. T: components by type and axis. tau2: (kinds, 3) [deg^2] T
-    moderated by the other types. freedom: (kinds,) its degrees of freedom. p, q: (n,) of each
-    vehicle as an outlier."""
+    """Result of the analysis. centre: mounts of the types. e: (n, 3) rotation vectors of the
+    vehicles relative to the centre of their type, without the offsets of bad batches [deg]. offset:
+    (n, 3) the offsets of bad batches [deg]. mean_covariance: (kinds, 3, 3) covariance of the
+    centres without the road crown. T: variance components by type and axis. tau2: (kinds, 3) T
+    moderated by the other types [deg^2]. freedom: (kinds,) degrees of freedom of tau2. p, q: (n,)
+    p-value and false-discovery rate of the test whether a vehicle is an outlier."""
 
     centre: Rotation
     e: Array
@@ -60,7 +61,8 @@ class Population:
 
 
 def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Population:
-    """Find types, batches and outliers. columns: by name, the group of each vehicle."""
+    """Find the mounts of types, bad batches and outliers. columns: for each column of groups, the
+    group of each vehicle."""
     codes = {name: group_codes(values) for name, values in columns.items()}
     found: list[GroupEffect] = []
     offset = np.zeros((len(units), 3))
@@ -77,8 +79,8 @@ def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Pop
 
 
 def _robust(units: Units, offset: Array) -> tuple[Rotation, Array, Array]:
-    """Robust estimates: centres, vehicles relative to them without the offsets (n, 3), and T
-    (kinds, 3)."""
+    """Return robust estimates: centres of the types, rotation vectors of the vehicles relative to
+    the centres without the offsets (n, 3), and T (kinds, 3)."""
     rotation = turned(units.rotation, -offset) if len(units) else units.rotation
     centre = _first_centres(rotation, units)
     T = np.zeros((units.kinds, 3))
@@ -101,7 +103,8 @@ def _sum(values: Array, kind: Index, kinds: int) -> Array:
 
 
 def _first_centres(rotation: Rotation, units: Units) -> Rotation:
-    """For each type, the mount of the vehicle with the smallest median distance to the others."""
+    """Return for each type the mount of the vehicle with the smallest median distance to the other
+    vehicles."""
     chosen = []
     for k in range(units.kinds):
         mine = np.flatnonzero(units.kind == k)
@@ -115,8 +118,8 @@ def _first_centres(rotation: Rotation, units: Units) -> Rotation:
 def _without_outliers(
     units: Units, centre: Rotation, e: Array, offset: Array, T: Array, groups: list[GroupEffect]
 ) -> Population:
-    """REML of T, and the means, without outliers; each vehicle is compared with the others of its
-    type."""
+    """Estimate T by REML, and the means, without outliers. Each vehicle is compared with the other
+    vehicles of its type to find outliers."""
     odd = t_weights(e, T[units.kind] + units.v) < _SUSPECT_WEIGHT
     rotation = turned(units.rotation, -offset) if len(units) else units.rotation
     for _ in range(RESTARTS):
@@ -138,13 +141,13 @@ def _without_outliers(
 
 
 _SUSPECT_WEIGHT = (T_FREEDOM + 3.0) / (T_FREEDOM + 16.27)
-"""A vehicle stands out if its square exceeds the 99.9th percentile of chi-square with 3 degrees of
-freedom."""
+"""A vehicle with a smaller robust weight is an outlier candidate. The value is the weight at the
+99.9th percentile of chi-square with 3 degrees of freedom (16.27)."""
 
 
 def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
-    """Return, for each vehicle, whether its type has other vehicles that are neither outliers nor
-    in a bad batch."""
+    """Return for each vehicle whether its type has at least `LEAST_PLAIN` vehicles that are neither
+    outliers nor in a bad batch."""
     plain = ~odd & (offset == 0.0).all(axis=1)
     count = _sum(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]
     return np.asarray(count[units.kind] >= LEAST_PLAIN)
@@ -153,8 +156,8 @@ def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
 def _components(
     units: Units, e: Array, odd: Flags
 ) -> tuple[list[list[VarianceComponent]], Array, Array]:
-    """T by type and axis from each type alone, then moderated (kinds, 3), and its degrees of
-    freedom."""
+    """Return T by type and axis from each type alone, the moderated T (kinds, 3), and its degrees
+    of freedom."""
     found, usual = [], np.zeros((units.kinds, 3))
     for k in range(units.kinds):
         mine = (units.kind == k) & ~odd
@@ -165,8 +168,8 @@ def _components(
 
 
 def _leave_one_out(units: Units, e: Array, odd: Flags, tau2: Array, freedom: Array) -> Array:
-    """p of each vehicle, compared with the mean of the other vehicles of its type that do not stand
-    out."""
+    """Return the p-value of each vehicle. The vehicle is compared with the mean of the other
+    vehicles of its type, without outliers."""
     wide = tau2[units.kind] + units.v
     w = np.where(odd[:, None], 0.0, 1.0 / wide)
     total, weighted = (_sum(x, units.kind, units.kinds)[units.kind] for x in (w, w * e))

@@ -18,25 +18,27 @@ from imucald.fleet.analysis.units import MAX_Q
 
 ROUNDS = 3
 LEAST_PAIRS = 3
-"""Fewest pairs of successive drives, see `_pairs`. The first D is their median. With fewer pairs a
-single remount would dominate the median and look like the normal scatter of drives."""
+"""Smallest number of pairs of successive drives (`_pairs`) for estimating D. The first estimate of
+D is a median over these pairs. With fewer pairs, a single remount would dominate the median and
+look like the normal scatter of drives."""
 OWN_FREEDOM = 20
-"""A type with fewer differences between drives uses the D of all types together."""
+"""A type with fewer degrees of freedom of D uses the D of all types together."""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
-"""Degrees of freedom of the null distribution that are tried. A few hundred pairs of drives cannot
-separate a t distribution with 30 degrees of freedom from a normal one, but the difference matters
+"""Tried degrees of freedom of the null distribution. A few hundred pairs of drives cannot separate
+a t distribution with 30 degrees of freedom from a normal distribution, but the difference matters
 at thresholds of p = 0.002. Therefore normal tails are never assumed. Chosen on simulated fleets
 (seeds from 1000) by `python -m benchmarks.fleet --only statistics`."""
 
 
 @dataclass(frozen=True)
 class Remounts:
-    """Candidates for remounts: index of the first drive after each, turn (k, 3) [deg], covariance,
-    p, q, and whether it was found.
+    """The k candidates for remounts.
 
-    D: (kinds, 3) variance between drives [deg^2], components by type and axis. scale: ratio of true
-    to stated variances (1: as stated). segment: (n,) of each drive, ascending over all vehicles.
-    Cuts at a move found within a drive are no candidates.
+    drive: index of the first drive after the remount. turn: (k, 3) rotation vector of the remount
+    [deg]. p, q: p-value and false-discovery rate. D: (kinds, 3) variance between drives [deg^2].
+    components: variance components by type and axis. scale: ratio of true variances to stated
+    variances. segment: (n,) segment of each drive, ascending over all vehicles. A segment that
+    begins at a move found within a drive is no candidate.
     """
 
     drive: Index
@@ -51,12 +53,13 @@ class Remounts:
 
     @property
     def found(self) -> NDArray[np.bool_]:
-        """Which candidates are remounts."""
+        """Mask (k,) of the candidates that are remounts."""
         return self.q <= MAX_Q
 
 
 def find_remounts(drives: KnownDrives) -> Remounts:
-    """Find remounts in all vehicles; D is estimated from the differences that are no remounts."""
+    """Find remounts in all vehicles. D is estimated from the differences between drives without a
+    remount between them."""
     e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
     D = np.tile(_first_D(e, drives), (len(drives.kinds), 1))
     components: list[list[VarianceComponent]] = []
@@ -71,14 +74,15 @@ def find_remounts(drives: KnownDrives) -> Remounts:
 
 
 def _pairs(drives: KnownDrives) -> Index:
-    """Index of each drive that follows another of its vehicle, without a move found in between."""
+    """Return the index of each drive that follows another drive of the same vehicle, without a move
+    of the sensor found in between."""
     same = np.diff(drives.vehicle, prepend=-1) == 0
     return np.flatnonzero(same & drives.is_after & ~drives.is_moved).astype(np.int64)
 
 
 def _first_D(e: Array, drives: KnownDrives) -> Array:
-    """D from the median of the differences of successive drives; remounts hardly change a
-    median."""
+    """Return a first estimate of D from the median of the differences between successive drives.
+    Remounts change a median only little."""
     after = _pairs(drives)
     squares = (e[after] - e[after - 1]) ** 2
     P = np.diagonal(drives.P, axis1=1, axis2=2)
@@ -87,18 +91,20 @@ def _first_D(e: Array, drives: KnownDrives) -> Array:
 
 
 def weights(drives: KnownDrives, D: Array, scale: float = 1.0) -> Array:
-    """Inverse covariances (n, 3, 3) of single drives relative to their vehicle's mount
-    [1/deg^2]."""
+    """Return the inverse covariances (n, 3, 3) of the deviation of single drives from the mount of
+    their vehicle [1/deg^2]."""
     V = drives.P + D[drives.kind[drives.vehicle]][:, :, None] * np.eye(3)
     return np.asarray(np.linalg.inv(scale * V))
 
 
 @dataclass(frozen=True)
 class Null:
-    """Empirical null distribution: squared differences of two single drives without a remount.
+    """Empirical null distribution of the squared difference between two single drives without a
+    remount.
 
-    square / (3 * scale) has an F distribution with 3 and `freedom` degrees of freedom: stated
-    deviations are right on average, but the tails are heavier than normal.
+    square / (3 * scale) has an F distribution with 3 and `freedom` degrees of freedom. The stated
+    deviations are right on average, but the distribution has heavier tails than the normal
+    distribution.
     """
 
     scale: float = 1.0
@@ -106,14 +112,15 @@ class Null:
 
     @property
     def widening(self) -> float:
-        """Ratio of true to stated variances; never below 1."""
+        """Ratio of true variances to stated variances, never below 1."""
         return max(1.0, self.scale * self.freedom / (self.freedom - 2.0))
 
     def p(self, squares: Array, before: Index, after: Index) -> Array:
-        """p of squared differences between the means of `before` and `after` drives.
+        """Return the p-values of squared differences between two means. before, after: number of
+        drives in each mean.
 
-        A mean is closer to normal than a single drive: its fourth cumulant is proportional to 1 /
-        n^3.
+        The distribution of a mean is closer to normal than that of a single drive: its fourth
+        cumulant is proportional to 1 / n^3.
         """
         a, b = 1.0 / before, 1.0 / after
         share = (a**3 + b**3) / (a + b) ** 2 / 0.5
@@ -122,7 +129,8 @@ class Null:
 
 
 def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
-    """Maximum-likelihood null for the differences of successive drives, without found remounts."""
+    """Fit the null distribution to the differences of successive drives (maximum likelihood). Found
+    remounts are left out."""
     after = np.setdiff1d(_pairs(drives), cuts)
     if len(after) < OWN_FREEDOM:
         return Null()
@@ -169,7 +177,8 @@ def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
 
 
 def _segments(drives: KnownDrives, cuts: Index) -> Index:
-    """Segment index of each drive, ascending; a new segment starts at each vehicle and each cut."""
+    """Return the segment index of each drive, ascending. A new segment starts at each vehicle and
+    at each cut."""
     begins = np.zeros(len(drives), dtype=np.int64)
     begins[drives.first] = 1
     begins[cuts] = 1
@@ -177,9 +186,9 @@ def _segments(drives: KnownDrives, cuts: Index) -> Index:
 
 
 def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[VarianceComponent]]:
-    """D by type and axis; from all types together if a type has too little data.
-
-    Segments with drives without an order may contain a move, so they are left out.
+    """Return D by type and axis. A type with too little data gets the D of all types together.
+    Segments that contain drives without an order are left out, because a remount may be hidden in
+    them.
     """
     use = ~np.isin(segment, segment[~drives.is_after])
     e, segment, kind = e[use], segment[use], drives.kind[drives.vehicle][use]

@@ -1,8 +1,9 @@
-"""Divide a vehicle's drives into segments between which its sensor may have been moved.
+"""Divide the drives of a vehicle into segments. The sensor may have been moved between two
+segments.
 
 Optimal partitioning (Jackson et al., IEEE Signal Processing Letters 12, 2005): the partition with
-the smallest sum of chi-square and a penalty for each cut. Cuts are only candidates; all vehicles
-together decide which of them are remounts (`remounts`).
+the smallest sum of chi-square and a penalty for each cut. Cuts are only candidates for remounts.
+The decision needs the data of all vehicles (`remounts`).
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from scipy.stats import chi2
 from imucald.core.arrays import Array, Index
 
 CANDIDATE_P = 0.05
-"""Chance that a vehicle without a remount gets a candidate."""
+"""Probability that a vehicle without a remount gets a candidate."""
 
 
 def candidates(e: Array, W: Array, may: NDArray[np.bool_]) -> list[int]:
-    """Cuts (index of the first drive after each) of one vehicle.
+    """Return the cuts of one vehicle: the index of the first drive after each cut.
 
     e: (n, 3) rotation vectors [deg]. W: (n, 3, 3) inverse covariances of single drives [1/deg^2].
     may: (n,) whether a cut may lie before each drive.
@@ -52,7 +53,8 @@ def candidates(e: Array, W: Array, may: NDArray[np.bool_]) -> list[int]:
 
 @cache
 def _penalty(n: int) -> float:
-    """Chi-square that the best of n - 1 cuts rarely exceeds in a vehicle without a remount."""
+    """Return the chi-square that the best of n - 1 cuts exceeds only with the probability
+    `CANDIDATE_P` in a vehicle without a remount."""
     return float(chi2.isf(CANDIDATE_P / (n - 1), 3))
 
 
@@ -61,17 +63,20 @@ def _from_zero(values: Array) -> Array:
 
 
 def _costs(sums: tuple[Array, Array, Array], end: int) -> Array:
-    """Chi-square of the drives a ... end - 1 about their mean, for each a (end,)."""
+    """Return for each a below `end` the chi-square of the drives a ... end - 1 about their mean,
+    (end,)."""
     W, We, eWe = (s[end] - s[:end] for s in sums)
     mean = np.linalg.solve(W, We[:, :, None])[:, :, 0]
     return np.asarray(eWe - np.einsum("ni,ni->n", We, mean))
 
 
 def means(e: Array, W: Array, segment: Index, is_after: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Weighted means (k, 3) and their covariances (k, 3, 3) of segments 0 ... k - 1, ascending.
+    """Return the weighted means (k, 3) of the segments 0 ... k - 1, and the covariances (k, 3, 3)
+    of the means.
 
-    Drives of a segment without an order (`KnownDrives.is_after`) may contain a move, so their
-    scatter beyond the stated covariance is added to it.
+    A remount may be hidden in a segment that contains drives without an order
+    (`KnownDrives.is_after`). For such a segment, scatter that exceeds the stated covariances is
+    added to the covariance of the mean.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     We = np.einsum("nij,nj->ni", W, e)

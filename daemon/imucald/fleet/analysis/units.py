@@ -1,4 +1,4 @@
-"""Vehicles as the units of a population, and the weights for robust means."""
+"""The vehicles of a population with their mounts, and the weights for robust means."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from imucald.core.arrays import Array, Index
 MAX_Q = 0.05
 """Expected share of false findings among those reported (Benjamini, Hochberg 1995)."""
 T_FREEDOM = 4.0
-"""Degrees of freedom of the t distribution whose weights make the centre robust (Lange et al., J.
-Am. Stat. Assoc. 84, 1989: 4 serves most data)."""
+"""Degrees of freedom of the t distribution that gives the weights of robust means (Lange et al., J.
+Am. Stat. Assoc. 84, 1989: 4 is suitable for most data)."""
 
 
 @dataclass(frozen=True)
 class Units:
-    """One row for each vehicle. rotation: its first segment's mount. V: (n, 3, 3) its covariance
-    without the crown's part [deg^2]. kind: (n,) index of its type; there are `kinds` types."""
+    """One row for each of n vehicles. rotation: mount in the first segment of the vehicle. V: (n,
+    3, 3) covariance of this mount without the road crown [deg^2]. kind: (n,) index of the vehicle
+    type; there are `kinds` types."""
 
     rotation: Rotation
     V: Array
@@ -33,16 +34,16 @@ class Units:
 
     @property
     def v(self) -> Array:
-        """Variances (n, 3)."""
+        """Variances about the three axes (n, 3)."""
         return np.diagonal(self.V, axis1=1, axis2=2)
 
 
 def t_quantile(freedom: float) -> float:
-    """Half width of a 95 % interval in standard deviations."""
+    """Half width of the 95 % interval of a t distribution, in standard deviations."""
     return float(t_distribution.ppf(0.975, max(freedom, 1.0)))
 
 
 def t_weights(e: Array, variance: Array) -> Array:
-    """Weights (n,), at most 1, of the t distribution in three dimensions."""
+    """Return the weights (n,) of the t distribution in three dimensions. A weight is at most 1."""
     squares = (e * e / variance).sum(axis=1)
     return np.asarray(np.minimum((T_FREEDOM + 3.0) / (T_FREEDOM + squares), 1.0))

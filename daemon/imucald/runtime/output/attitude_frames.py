@@ -15,16 +15,17 @@ from imucald.runtime.output.output_message import (
 )
 
 DEVIATION_MAX = 327.67
-"""Largest deviation that its signals can hold [deg]."""
+"""Largest deviation that the signals for deviations can represent [deg]."""
 GRADE_DEVIATION_MAX = 655.34
 """Largest deviation of the grade that is sent [%]."""
 RATE_DEVIATION_MAX = 6.5534
-"""Largest deviation of the rates that is sent [deg/s]."""
+"""Largest deviation of the turn rates that is sent [deg/s]."""
 HEADING_LSB = 0.01
 
 
 class AttitudeFrames:
-    """Encodes attitude estimates for one configuration. angles: roll, pitch, heading, state."""
+    """Encodes attitude estimates in the frames of one configuration. angles: the frame with roll,
+    pitch, heading and state."""
 
     def __init__(self, config: Config) -> None:
         ids, checksum = config.output.ids, config.output.checksum
@@ -56,12 +57,13 @@ class AttitudeFrames:
             self._free = message("IMUCALD_FreeAcceleration", ids.free_acceleration, signals)
 
     def messages(self) -> list[OutputMessage]:
-        """Every message that is sent."""
+        """All messages that are sent."""
         free = [] if self._free is None else [self._free]
         return [self.angles, self._deviation, self._rates, self._grade, *free]
 
     def frames(self, estimate: AttitudeEstimate | None) -> list[OutFrame]:
-        """Return the frames. None: nothing is known. Angles are sent from *settling* on."""
+        """Return the frames of an estimate; None means that the attitude is unknown. Angles are
+        sent from the state *settling* on."""
         if estimate is None or estimate.state < AttitudeState.SETTLING:
             state = 0 if estimate is None else int(estimate.state)
             nothing = (None, None, None, state)

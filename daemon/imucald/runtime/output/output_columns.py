@@ -1,4 +1,4 @@
-"""Frames to send as columns: corrected samples, and the order of parts."""
+"""Frames to send as columns: encode corrected samples, and merge all frames in the right order."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from imucald.runtime.segment_samples import CorrectedSamples
 
 
 class OutPart(Struct, frozen=True, eq=False):
-    """Frames to send with their input row and their rank within that row.
-
-    Status frames have rank 0: they come before the corrected frames of the row that caused them.
+    """Frames to send. row: row of the input frame after which the frame is sent. rank: order within
+    the row. Status frames have rank 0: they are sent before the corrected frames of the same row.
     """
 
     row: NDArray[np.int64]
@@ -27,8 +26,8 @@ class OutPart(Struct, frozen=True, eq=False):
 
 
 def corrected_count(routed: Routed, channel: str) -> int:
-    """Return the number of corrected frames of a channel, without those that say *not
-    available*.
+    """Return the number of frames with a corrected sample of a channel. Frames *not available* do
+    not count.
     """
     series = routed.samples.get(channel)
     return 0 if series is None else len(series.row)
@@ -51,10 +50,10 @@ def corrected_parts(
     lost: Mapping[str, NDArray[np.int64]],
     base: int,
 ) -> Iterator[OutPart]:
-    """Return frames of a segment's corrected samples by channel, and those that say *not
-    available*.
+    """Yield the frames of a segment's corrected samples, and the frames *not available*, by
+    channel.
 
-    lost: for each channel, the rows of the latter frames. base: the segment's first row.
+    lost: for each channel, the rows of the frames *not available*. base: first row of the segment.
     """
     for order, channel in enumerate(output.triads):
         found = corrected.get(channel)
@@ -80,8 +79,8 @@ def corrected_parts(
 
 
 def merged(parts: list[OutPart], frames: FrameColumns) -> FrameColumns:
-    """Return all parts in the order of rows, then ranks; each frame has its row's time of
-    `frames`.
+    """Merge all parts, sorted by row and then by rank. The time of each frame is the time of its
+    row in `frames`.
     """
     if not parts:
         return frames.take(slice(0, 0))

@@ -1,8 +1,9 @@
-"""The frames that imucald sends: layout from ``imucald_out.dbc``, ids and protection configured.
+"""The frames that imucald sends. ``imucald_out.dbc`` defines the layout; the configuration defines
+ids and protection.
 
-Corrected samples are sent as they come, one frame per sample. Status frames are sent with each
-snapshot. A value that is not usable is sent as not available, never as a number. Columns of frames
-and single frames give the same bytes, including counters.
+Corrected samples are sent at once, one frame per sample. Status frames are sent with each snapshot.
+A value that must not be used is sent as *not available*, never as a number. Columns of frames and
+single frames give the same bytes, including counters.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
 STATUS_FRAMES = 5
-"""Frames per snapshot: mount, three of deviations, health."""
+"""Number of status frames per snapshot: one for the mount, three for deviations, one for health."""
 CROSS_TALK_MAX, ZERO_MAX = 20.47, 4.094
-"""Largest deviations that are sent [deg], [m/s^2]; larger ones are sent as these values."""
+"""Largest deviations that are sent [deg], [m/s^2]. Larger deviations are sent as these values."""
 REJECTED_MAX = 65534
 LOST_MAX = 4094
 
@@ -44,7 +45,8 @@ _LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
     "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), DEG_PER_RAD),
     "magnetic_field": ("IMUCALD_MagneticField", ("FieldX", "FieldY", "FieldZ"), 1e6),
 }
-"""For each kind of sensor: message, signals, factor from SI to the message's unit."""
+"""For each kind of sensor: name of the message, names of the signals, factor from SI to the unit of
+the signals."""
 
 _HEALTH_FLAGS = (
     "AccelerometerMissing",
@@ -60,7 +62,8 @@ _MAIN = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag
 
 
 class Health(Struct, frozen=True):
-    """Content of the health frame besides the calibration, and the faulty sensors and signals."""
+    """Content of the health frame except the fields about the calibration, and the faulty sensors
+    and signals."""
 
     accelerometer_missing: bool = False
     gyroscope_missing: bool = False
@@ -79,7 +82,7 @@ class Health(Struct, frozen=True):
 
     @property
     def flags(self) -> tuple[bool, ...]:
-        """The flags in the frame's order."""
+        """The flags in the order of the health frame."""
         return (
             self.accelerometer_missing,
             self.gyroscope_missing,
@@ -100,9 +103,10 @@ class OutputFrames:
     """Encodes all frames of one configuration.
 
     triads: channels with a corrected frame, in sending order. planar: channels of parallel sensors
-    with two axes; their z is not available. sensor_of: channel of the sensor whose health applies;
-    a parallel sensor follows the main one of its kind. attitude, travel: frames of methods B and C,
-    and of D, if they are configured.
+    with two axes; z is sent as *not available*. sensor_of: for each channel, the channel of the
+    sensor whose health applies. For a parallel sensor, this is the main sensor of the same kind.
+    attitude, travel: frames of the attitude (methods B and C) and of the direction of travel
+    (method D), if configured.
     """
 
     def __init__(self, config: Config) -> None:
@@ -154,7 +158,7 @@ class OutputFrames:
 
     @property
     def can_ids(self) -> frozenset[int]:
-        """Every id that is sent, with the flag for 29 bits."""
+        """All ids that are sent, with the flag for 29 bits."""
         return frozenset(message.can_id for message in self.messages())
 
     def _all_messages(self) -> list[OutputMessage]:
@@ -162,8 +166,8 @@ class OutputFrames:
         return [*self._corrected.values(), self._mount, self._deviation, *more, self._health]
 
     def go_on_from(self, before: OutputFrames) -> None:
-        """Continue the counters of every message that was sent before: its receivers notice no
-        change.
+        """Continue the counters of all messages that `before` also sends, so that receivers see no
+        jump.
         """
         known = {message.key: message for message in before.messages()}
         for message in self.messages():
@@ -171,7 +175,7 @@ class OutputFrames:
                 message.go_on_from(known[message.key])
 
     def messages(self) -> list[OutputMessage]:
-        """Every message that is sent."""
+        """All messages that are sent."""
         found = self._all_messages()
         for more in (self.attitude, self.travel):
             if more is not None:
@@ -179,7 +183,7 @@ class OutputFrames:
         return found
 
     def prepare(self) -> None:
-        """Compile all messages now, so that the first frame is as fast as later ones."""
+        """Compile all messages now, so that the first frame takes no longer than later frames."""
         for message in self._all_messages():
             message.prepare()
 
@@ -200,8 +204,8 @@ class OutputFrames:
     def _message(
         self, name: str, can_id: int, signals: Sequence[str], last: str, missing: int
     ) -> OutputMessage:
-        """Return a message with signals that are `missing` where not available, and a last one that
-        is always there.
+        """Return a message. `missing` is the raw value of `signals` for *not available*. The signal
+        `last` always has a value.
         """
         own = dict.fromkeys(signals, missing)
         return OutputMessage(name, (*signals, last), can_id, self._checksum, own)
@@ -226,7 +230,8 @@ class OutputFrames:
         return message.can_id, message.payloads([*columns, quality.astype(np.float64)])
 
     def status(self, estimate: MountEstimate, usable: bool, health: Health) -> list[OutFrame]:
-        """Return the status frames of one snapshot; they contain angles where these are usable."""
+        """Return the status frames of one snapshot. They contain the angles only if `usable` is
+        true."""
         state = int(estimate.state)
         angles = estimate.angles if usable else None
         std = estimate.std if usable else None
@@ -249,7 +254,8 @@ class OutputFrames:
 def _of_sent(
     sent: SentDeviations | None,
 ) -> tuple[Sequence[float | None], Sequence[float | None]]:
-    """Return deviations of cross-talk, and of level zero and rate, in the units of their frames."""
+    """Return the deviations of corrected samples in the units of two frames: first cross-talk, then
+    zero error and turn rate. All deviations are None if `sent` is None."""
     if sent is None:
         return (None,) * 4, (None,) * 4
 

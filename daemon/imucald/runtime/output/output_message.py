@@ -1,6 +1,6 @@
-"""One output message: encoding, then protection with counter and checksum.
+"""One output message: encoding, and protection with counter and checksum.
 
-A message is compiled when its first frame is made, or by `prepare`: a replay without output frames
+A message is compiled for its first frame, or by `prepare`. A replay without output frames therefore
 never reads the output database.
 """
 
@@ -31,7 +31,7 @@ OUTPUT_DATABASE = Path(__file__).parents[2] / "data" / "imucald_out.dbc"
 NOT_AVAILABLE_SIGNED = -32768
 NOT_AVAILABLE_UNSIGNED = 65535
 NOT_AVAILABLE_12 = 4095
-"""Not-available value of unsigned signals of 12 bits."""
+"""Raw value for *not available* of unsigned signals with 12 bits."""
 
 
 @cache
@@ -42,9 +42,10 @@ def output_database() -> Database:
 
 
 class OutputMessage:
-    """Makes the frames of one message; a value that does not fit is sent as not available.
+    """Encodes the frames of one message. A value that does not fit is sent as *not available*.
 
-    message: its name in `output_database`. not_available: raw value for each signal name.
+    message: name of the message in `output_database`. not_available: for each signal name, the raw
+    value for *not available*.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class OutputMessage:
 
     @cached_property
     def protection(self) -> ProtectionSpec:
-        """Protection of its frames, for readers."""
+        """The protection of the frames, as needed to check received frames."""
         message = output_database().message(self._message)
         return ProtectionSpec(
             size=message.length,
@@ -86,7 +87,7 @@ class OutputMessage:
         return compile_decode(output_database().message(self._message), self._signals)
 
     def values(self, payload: bytes) -> list[float | None]:
-        """Return the values in a frame, in the message's units; None is not available.
+        """Return the values in a frame, in the units of the message; None means *not available*.
 
         The method is the inverse of `frame`. Raises DecodeError if the frame is too short.
         """
@@ -99,7 +100,8 @@ class OutputMessage:
 
     @property
     def key(self) -> tuple[str, int]:
-        """Name and id: receivers treat messages with the same key as the same message."""
+        """Name and id of the message. For receivers, messages with the same key are the same
+        message."""
         return self._message, self.can_id
 
     def go_on_from(self, before: OutputMessage) -> None:
@@ -107,26 +109,28 @@ class OutputMessage:
         self._protector.go_on_from(before._protector)
 
     def prepare(self) -> None:
-        """Compile now, so that the first frame is as fast as later ones."""
+        """Compile the message now, so that the first frame takes no longer than later frames."""
         _ = self._plan, self._protector
 
     @cached_property
     def _nothing(self) -> bytes:
-        """The payload without values, before protection, with state or quality 0."""
+        """Payload in which all values are *not available* and state or quality is 0, before
+        protection."""
         return self._plan.encode([*(None for _ in self._signals[1:]), 0])
 
     def not_available(self) -> OutFrame:
-        """Return a frame in which no value is available; its last signal, state or quality, is
-        0.
+        """Return a frame in which all values are *not available*. The last signal (state or
+        quality) is 0.
         """
         return self.can_id, self._protector.protect(self._nothing)
 
     def frame(self, values: Sequence[float | None]) -> OutFrame:
-        """Return the frame of one set of values, in the message's units; None is not available."""
+        """Return a frame with the given values, in the units of the message; None means *not
+        available*."""
         return self.can_id, self._protector.protect(self._plan.encode(values))
 
     def payloads(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
-        """Return payloads (N, length) of columns (N,); NaN is not available."""
+        """Return payloads (N, length) of columns (N,); NaN means *not available*."""
         return self._protector.protect_columns(self._plan.encode_columns(columns))
 
 

@@ -1,4 +1,4 @@
-"""Frame of a carried terminal's direction of travel."""
+"""The frame with the direction of travel of a carried terminal."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ STEPS_MAX = 65534
 
 WALKS = frozenset({TravelState.WALKING, TravelState.TURNING, TravelState.AMBIGUOUS})
 DEVIATION_MAX = 327.67
-"""Largest deviation that its signals can hold [deg]."""
+"""Largest deviation that the signals for deviations can represent [deg]."""
 
 
 class TravelFrames:
-    """Encodes directions of travel for one configuration."""
+    """Encodes directions of travel in the frames of one configuration."""
 
     def __init__(self, config: Config) -> None:
         self._message = OutputMessage(
@@ -39,13 +39,12 @@ class TravelFrames:
         )
 
     def messages(self) -> list[OutputMessage]:
-        """Every message that is sent."""
+        """All messages that are sent."""
         return [self._message, self._deviation]
 
     def frames(self, step: Step | None, state: TravelState, steps: int) -> list[OutFrame]:
-        """Return the frames after a step; headings are available while a person walks.
-
-        A heading that may be 180 deg wrong is sent only as an axis.
+        """Return the frames after a step. Headings are available only while the person walks. A
+        heading that may be wrong by 180 deg is sent only as an axis (without direction).
         """
         count = min(steps, STEPS_MAX)
         if step is None or state not in WALKS:
