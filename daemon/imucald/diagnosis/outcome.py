@@ -41,8 +41,8 @@ from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
 MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
-"""Kinds of structure that contradict the model: a cause is missing, whatever the direct evidence
-is."""
+"""Kinds of structure that contradict the model: a cause is missing, with or without direct
+evidence."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
 DEG = 180.0 / math.pi

@@ -80,8 +80,8 @@ def find_scalar(
     """Return the signal that follows a reference best, with its unit and sign; None if no signal
     follows it.
 
-    sides: the evidence for left and right; empty if there is no evidence. A quantity without sides
-    gets any other text.
+    sides: the evidence for left and right; empty if there is no evidence. For a quantity without
+    left and right, `sides` is any other text.
     """
     usable = [
         c

@@ -2,7 +2,7 @@
 
 A speedometer may show up to 10 % plus 4 km/h too much (UN Regulation 39). The changes of its speed
 appear in the accelerometer as clearly as the changes of the true speed. Only the wheel speeds show
-the difference.
+which of the speeds is the true speed.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ same motion are therefore compared all the time. The first pair is the gyroscope
 turn rate from the vehicle's own signals. The second pair is v r and the force to the left, the
 third pair is dv/dt and the force ahead.
 
-The drive is divided into pieces, each with a bend or a braking. For each piece and each pair of
-signals, the correlation and the gain are computed. Correct pairs have a correlation of 0.8 to 1 in
-a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten pieces. The
+The drive is divided into pieces. Each piece has a bend or a braking. For each piece and each pair
+of signals, the correlation and the gain are computed. Correct pairs have a correlation of 0.8 to 1
+in a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten pieces. The
 correlation of a correct pair is below `UNLIKE` in fewer than one of a hundred pieces. A false fault
 needs `TO_ACCUSE` such pieces among the last `REMEMBERED` pieces.
 """
