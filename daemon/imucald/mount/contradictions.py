@@ -347,22 +347,22 @@ class Contradictions:
 
     @property
     def agreed(self) -> bool:
-        """True if every pair that could be checked was seen to agree, and at least the pair of v r
-        and lateral force.
+        """True if every pair that has pieces agrees in the last one.
 
-        The pair of dv/dt and forward force need not be seen to agree: slope and a speed with few
-        samples may hide dv/dt.
+        The pair of dv/dt and forward force need not agree: slope and a speed with few samples may
+        hide dv/dt. A pair without pieces is left to `alternatives`, whose log ratios also count
+        small turns.
         """
         return all(pair.agreed for pair in self._asked)
 
     @property
     def share(self) -> float:
         """Collected share (0 to 1) of the evidence that `agreed` needs."""
-        return min(pair.share for pair in self._asked)
+        return min((pair.share for pair in self._asked), default=1.0)
 
     @property
     def _asked(self) -> list[PairWatch]:
-        return [self.turns, *(pair for pair in (self.yaw_rate, self.steering) if pair.pieces)]
+        return [pair for pair in (self.turns, self.yaw_rate, self.steering) if pair.pieces]
 
 
 _NO_MOUNT = np.zeros((3, 3))
