@@ -29,12 +29,12 @@ PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
     "OMP_NUM_THREADS": "1",
 }
-"""Environment variables that are set for this process unless the user has set them. They are read
-when numpy is imported."""
+"""Environment variables that are set for this process unless the user has set them. numpy reads
+these variables when it is imported."""
 
 LARGE_LIBRARIES = ("scipy",)
-"""Libraries that only simulation and diagnosis need. They may be missing in an installation on a
-vehicle."""
+"""Libraries that only simulation and diagnosis need. These libraries may be missing in an
+installation on a vehicle."""
 
 WRONG_USAGE = 2
 DIED_OF = 128

@@ -35,8 +35,8 @@ DROPPING_SHARE = 0.02
 def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -> float | None:
     """Return the share of lost frames; intervals: (N,) between the received frames [s].
 
-    message: its description, if a database has one. Returns None for a message that is not cyclic.
-    Also returns None for a message with a multiplexer, since each group has its own cycle.
+    message: its description, if a database has one. Returns None for a message that is not cyclic,
+    and for a message with a multiplexer, because each group has its own cycle.
     """
     if message is not None and message.is_multiplexed:
         return None

@@ -17,8 +17,8 @@ WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h). This exit status tells systemd not to start the daemon
 again."""
 LOG_LEVELS = ("error", "warning", "notice", "info")
-"""Names of the log levels in `service.journal`. They are repeated here, because that module is
-loaded later."""
+"""Names of the log levels in `service.journal`. The names are repeated here, because
+`service.journal` is loaded later."""
 NO_SOCKET = (
     "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
     "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for all "

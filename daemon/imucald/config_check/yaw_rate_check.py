@@ -20,8 +20,8 @@ MIN_TURNING_TO_FOLLOW = 0.04
 rate is at least this [rad/s], as in city driving."""
 OTHER_RATIO = 2.5
 """A larger gain of the steering angle means a wrong unit, even if steering ratio and wheelbase are
-not stated. The steering ratio of a truck is up to 1.3 times that of a car, the wheelbase up to
-twice."""
+not stated. The steering ratio of a truck is up to 1.3 times the steering ratio of a car; the
+wheelbase is up to twice as long."""
 _STEERING = "steering_wheel_angle"
 
 

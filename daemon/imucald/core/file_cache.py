@@ -145,7 +145,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _stamp() -> str:
-    """Return a text that identifies the version of the code that reads databases and YAML. It
+    """Return a text that identifies the version of the code that reads databases and YAML. The text
     contains size and time of our modules and of their libraries.
     """
     package = Path(__file__).parents[1]

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
-"""Colours: vermilion, blue, nearly black, grey. They are distinguishable with any colour blindness
-(Okabe and Ito)."""
+"""Colours: vermilion, blue, nearly black, grey. These colours are distinguishable with any colour
+blindness (Okabe and Ito)."""
 
 TIME_BINS = 420
 SPECTRUM_BINS = 160

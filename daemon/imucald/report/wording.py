@@ -110,8 +110,8 @@ def ways_apart(group: Sequence[str]) -> list[str]:
 
 
 def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
-    """Return the arguments against a cause. They contain the titles of other causes that fit as
-    well."""
+    """Return the arguments against a cause. The texts contain the titles of other causes that fit
+    as well."""
     texts = [_with_rivals(typographic(text)) for text in cause.against]
     if not any(text.endswith(AS_WELL) for text in cause.against):
         groups = [g for g in diagnosis.look_alikes if cause.name in g]

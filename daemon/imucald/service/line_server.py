@@ -104,7 +104,7 @@ class LineServer:
     def poll(self) -> None:
         """Serve the clients that wait.
 
-        The call never blocks and never raises an error, whatever a client does.
+        The call never blocks and never raises an error. This is true for any behaviour of a client.
         """
         with contextlib.suppress(OSError):
             for _ in range(ACCEPTED_MAX):

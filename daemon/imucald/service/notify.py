@@ -27,8 +27,8 @@ FEEDS_PER_TIMEOUT = 4
 class Notifier:
     """Sends messages to the service manager.
 
-    environment: environment variables that name the socket and the watchdog (default: those of this
-    process).
+    environment: environment variables that name the socket and the watchdog (default: the
+    environment of this process).
     """
 
     def __init__(

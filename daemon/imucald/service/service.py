@@ -1,6 +1,6 @@
 """The service around the main loop: saved state, systemd, status, reload.
 
-The main loop runs all these tasks. It runs them at least every `CHORE_S`, with or without bus
+The main loop runs all these tasks. The tasks run at least every `CHORE_S`, with or without bus
 traffic. The messages to systemd's watchdog therefore show that the loop that corrects frames still
 runs.
 """

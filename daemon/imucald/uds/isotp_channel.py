@@ -39,8 +39,8 @@ CanFrame = tuple[int, bytes]
 """Id (with the flag for 29 bits) and payload of a frame to send."""
 
 Handler = Callable[[bytes, bool], bytes | None]
-"""Function that answers a request. Arguments: the request, and whether it was sent to all nodes. It
-returns a response or None."""
+"""Function that answers a request. Arguments: the request, and whether it was sent to all nodes.
+The function returns a response or None."""
 
 
 def import_isotp() -> Any:

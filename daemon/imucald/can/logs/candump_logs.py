@@ -84,7 +84,7 @@ class CandumpParser:
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
         """Return the frame (or none) of a file's last line without newline.
 
-        The line counts only if it is complete. Otherwise it was cut.
+        The line is used only if it is complete. An incomplete line counts as cut.
         """
         return self._columns([self.judge(text, place, last=True)])
 

@@ -84,7 +84,7 @@ class PythonCanReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """True if the first bytes are those of one of these formats."""
+        """True if the first bytes are the beginning of a file in one of these formats."""
         return any(begins.match(head) for begins in _BEGINNINGS.values())
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:

@@ -307,7 +307,8 @@ def first_bytes(head: bytes, count: int) -> bytes:
 
 @contextlib.contextmanager
 def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
-    """Return a file (unpacked to a temporary file if compressed), and why it is cut, if so.
+    """Context that gives the path of an uncompressed file, and the reason if the file is cut, else
+    "". A compressed file is unpacked to a temporary file.
 
     Raises LogError if the file cannot be opened.
     """
