@@ -64,7 +64,8 @@ class SimulatedBus:
         self._thread.start()
 
     def is_over(self) -> bool:
-        """True if the last frame was sent. On a busy machine, this takes longer than the drive."""
+        """True if the last frame was sent. On a busy machine, sending takes longer than the
+        drive."""
         return not self._thread.is_alive()
 
     def close(self) -> None:

@@ -203,7 +203,7 @@ def _not_understood(link: Mapping[str, Any]) -> str:
 
 def _troubles(status: Mapping[str, Any]) -> list[str]:
     """Return texts about problems of mount and signals. If there is no such text and the mount is
-    suspect, a text states this."""
+    suspect, the result is a text about the state."""
     found = [text for _, text in reasons(status["waiting_for"]) if is_trouble(text)]
     restored = status["details"].get("restored", {})
     if not found and restored.get("phase") == "doubted" and restored.get("doubt"):

@@ -64,7 +64,7 @@ class Lease:
         return self
 
     def beat(self) -> None:
-        """Renew the lease if this is due. Raises ImucaldError if another run has taken the
+        """Renew the lease if a renewal is due. Raises ImucaldError if another run has taken the
         lease."""
         now = time.time()
         if now - self._owner.beat < BEAT_S:

@@ -369,7 +369,7 @@ def _counted(n: int) -> str:
 
 def structure_text(structure: Structure) -> str:
     """Return a text about an unexplained pattern, with the title of the parameter. If the parameter
-    does not belong to the sensor of the signal, the text states this."""
+    belongs to another sensor than the signal, the text states the other sensor."""
     key, text = structure.parameter, structure.text
     if not key:
         return typographic(text)

@@ -1,7 +1,7 @@
 """Saved calibration: decide when it is saved, and which saved parts are used at a start.
 
-A disk may take seconds to confirm a write. The main loop must not wait for this, so a thread writes
-(`background_writer`).
+A disk may take seconds to confirm a write. The main loop must not wait for the disk, so a thread
+writes (`background_writer`).
 """
 
 from __future__ import annotations

@@ -104,7 +104,8 @@ class LineServer:
     def poll(self) -> None:
         """Serve the clients that wait.
 
-        The call never blocks and never raises an error. This is true for any behaviour of a client.
+        The call never blocks and never raises an error. The behaviour of clients does not change
+        this property.
         """
         with contextlib.suppress(OSError):
             for _ in range(ACCEPTED_MAX):

@@ -387,8 +387,8 @@ class Service:
         return found | {"flow": asdict(flow(found))}
 
     def _flow(self) -> Flow:
-        """Return the present kind of the corrected frames (`runtime.flow`). This is faster than
-        computing the whole status."""
+        """Return the present kind of the corrected frames (`runtime.flow`). The method is faster
+        than computing the whole status."""
         pipeline = self.engine.pipeline
         return flow(
             {

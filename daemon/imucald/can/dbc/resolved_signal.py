@@ -60,7 +60,7 @@ class Scaling(Struct, frozen=True):
 
 
 class FloatScaling(Scaling, frozen=True):
-    """Scaling of floats. The values may overflow or be NaN; the caller checks this."""
+    """Scaling of floats. The values may overflow or be NaN; the caller checks the values."""
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """See `Scaling`."""

@@ -15,11 +15,11 @@ sender cannot have sent another frame yet.
 
 Two frames with the same counter and different data show two senders. The frames do not show which
 sender is the true one, so all frames of the next `HELD_S` are dropped ("untrusted"). The first
-frame of the false sender was already used; only authentication would prevent this. A false frame is
-accepted from `EARLIEST` cycles after a true frame, and the next true frame follows within `1 -
-EARLIEST` cycles. A single sender with a stuck counter repeats the counter after a whole cycle. The
-limit between the two cases is the mean of both times. If an older frame comes between the two
-frames, the limit is `WAITS` cycles.
+frame of the false sender was already used; only authentication would prevent the use of this frame.
+A false frame is accepted from `EARLIEST` cycles after a true frame, and the next true frame follows
+within `1 - EARLIEST` cycles. A single sender with a stuck counter repeats the counter after a whole
+cycle. The limit between the two cases is the mean of both times. If an older frame comes between
+the two frames, the limit is `WAITS` cycles.
 
 A lost frame is not a fault. If the time is long enough for a step of the counter (see `schedule`),
 the step is counted as lost frames, unless a largest step is stated. Frames dropped for a wrong

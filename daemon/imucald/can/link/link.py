@@ -61,8 +61,8 @@ class LinkState(enum.StrEnum):
 class LinkEvent(Struct, frozen=True):
     """An event for the log. `kind` is for programs, `text` is for people.
 
-    Kinds: the new value of `LinkState` after a change; conflict, lost, queue_full, rejected (these
-    are reported with a limited rate).
+    Kinds: the new value of `LinkState` after a change; conflict, lost, queue_full, rejected (the
+    last four kinds are reported at a limited rate).
     """
 
     kind: str
@@ -307,7 +307,7 @@ class Link:
         return []
 
     def _sorted(self, port: Port, frames: list[Frame]) -> list[Frame]:
-        """Return the wanted frames; count the others and report events for them."""
+        """Return the wanted frames. Other frames are counted, and events for them are reported."""
         if self.state is LinkState.DOWN:
             self._check(port)  # frames from before the loss may still arrive
         wanted = []

@@ -137,8 +137,8 @@ class SocketCan:
     def receive(self, timeout: float) -> list[Frame]:
         """Wait up to `timeout` [s] for a frame, then return all waiting frames (bounded).
 
-        Raises OSError if the interface is down or gone. The kernel reports this once. Frames that
-        were read in the same batch are returned first.
+        Raises OSError if the interface is down or gone. The kernel reports such an error once.
+        Frames that were read in the same batch are returned first.
         """
         if self._fault is not None:
             fault, self._fault = self._fault, None

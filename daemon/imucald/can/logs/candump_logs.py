@@ -211,8 +211,8 @@ def _keep_freed_memory() -> None:
     """Make glibc keep freed memory for reuse, instead of returning it to the system each time.
 
     glibc sets its threshold to the largest block that was freed. The array here is never written,
-    so it costs no memory. Reading then takes less than half the time. Without glibc, this has no
-    effect.
+    so it costs no memory. Reading then takes less than half the time. Without glibc, the function
+    has no effect.
     """
     np.empty(KEPT_BYTES, np.uint8)
 

@@ -45,7 +45,7 @@ SPACED_FORMATS: Final = (".asc", ".trc")
 
 LAST_BYTES: Final = 1024
 """Number of bytes read at the end of a file with spaces between data bytes. The last line is
-shorter than this."""
+shorter than this number."""
 
 MIN_TOKENS: Final = 6
 """Smallest number of words in a line before the first data byte."""

@@ -114,7 +114,8 @@ class _Xz(_Inner):
 
 
 class _Zstd(_Inner):
-    """A Zstandard frame with the same interface. One call returns all output of its input."""
+    """A Zstandard frame with the interface of the other decompressors. One call returns all output
+    of its input."""
 
     def __init__(self) -> None:
         try:
