@@ -47,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--state-dir",
         type=Path,
         metavar="DIR",
-        help="folder that keeps the calibration over restarts (default: systemd's "
-        "$STATE_DIRECTORY)",
+        help="folder in which the calibration is saved (default: systemd's $STATE_DIRECTORY)",
     )
     parser.add_argument(
         "--save-every",
@@ -80,9 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="log lines of this level and above (default: info, which is all lines). 'imucald "
         "events' always shows all lines",
     )
-    parser.add_argument(
-        "-q", "--quiet", action="store_true", help="the same as --log-level warning"
-    )
+    parser.add_argument("-q", "--quiet", action="store_true", help="log only warnings and errors")
 
 
 def run(options: argparse.Namespace) -> int:

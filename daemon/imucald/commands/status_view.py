@@ -218,7 +218,7 @@ def _sensors(status: Mapping[str, Any]) -> Text:
     health = status["signal_health"]
     absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
     if is_starting(status):
-        return Text("nothing has come yet")
+        return Text("no samples received yet")
     faulty = absent + [
         f"{channel} {fault}" + (f" ({', '.join(axes)})" if axes else "")
         for channel, faults in health["sensors"].items()

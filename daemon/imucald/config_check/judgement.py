@@ -313,7 +313,7 @@ def _not_checked(
     if turning == ["gyroscope"] and stated == NOT_STATED and "heading" not in motion.grid:
         left.append(f"{NOT_CHECKED}; the mount becomes usable, but never fine")
     if motion.speed is None:
-        left.append("everything that needs the speed")
+        left.append("all checks that need the speed")
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
         left.append("the accelerometer against the changes of speed (too few changes)")
     if "gyro" not in motion.grid and not motion.planar:

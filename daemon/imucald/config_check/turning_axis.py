@@ -53,8 +53,8 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
     independent = INDEPENDENT * len(table) / BLOCK_TICKS
     if 0.5 * independent * 2.0 * math.log(left[0] / best) > TO_ACCUSE:
         text = (
-            "the force in bends follows its rate about an axis that is not vertical: two "
-            "axes of the gyroscope or of the accelerometer are exchanged"
+            "in bends, the force follows the gyroscope's rate about an axis that is not "
+            "vertical: two axes of the gyroscope or of the accelerometer are exchanged"
         )
         yield Finding("error", "gyroscope", text)
 

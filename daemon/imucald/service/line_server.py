@@ -98,7 +98,7 @@ class LineServer:
         except OSError as error:
             self._socket.close()
             reason = error.strerror or str(error)
-            raise LinkError(f"socket {path}: {reason}; name another one with {option}") from None
+            raise LinkError(f"socket {path}: {reason}; name another socket with {option}") from None
         self._socket.setblocking(False)
 
     def poll(self) -> None:
