@@ -1,9 +1,10 @@
 """Find the single wrong sign or the single exchange of axes that explains all contradictions
 between signals.
 
-A signal with a wrong sign contradicts several other signals. It therefore causes several findings,
-and some of them blame correct signals. Therefore each possible single fault is undone in turn, and
-all signals are compared again. If no contradiction is left, this fault explains all of them.
+A signal with a wrong sign contradicts several other signals. Such a signal therefore causes several
+findings, and some of these findings blame correct signals. Therefore each possible single fault is
+undone in turn, and all signals are compared again. If no contradiction is left, this fault explains
+all of them.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def explained(
         named = Finding("error", one.quantity, text)
         return [named, *others], motion.turned(one.channel, one.matrix)
     words = "; or ".join(f"{one.quantity}: {one.text} ({one.remedy})" for one in possible)
-    text = f"they contradict each other. One of these faults explains all of it: {words}"
+    text = f"the signals contradict each other. One of these faults explains this: {words}"
     quantities = tuple(one.quantity for one in possible)
     return [Finding("error", "signals", text, quantities), *others], motion
 

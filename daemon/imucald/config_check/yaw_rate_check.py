@@ -20,8 +20,8 @@ MIN_TURNING_TO_FOLLOW = 0.04
 rate is at least this [rad/s], as in city driving."""
 OTHER_RATIO = 2.5
 """A larger gain of the steering angle means a wrong unit, even if steering ratio and wheelbase are
-not stated. The steering ratio of a truck is up to 1.3 times that of a car, the wheelbase up to
-twice."""
+not stated. The steering ratio of a truck is up to 1.3 times the steering ratio of a car; the
+wheelbase is up to twice as long."""
 _STEERING = "steering_wheel_angle"
 
 
@@ -77,7 +77,7 @@ def _signs(gains: Mapping[str, float], turned: Mapping[str, bool]) -> Iterator[F
         return
     if not right:
         names = (f"{n} (with 'sign: -1')" if turned.get(n) else n for n in left[1:])
-        text = f"turns the same way as {', '.join(names)}"
+        text = f"has the same sign in turns as {', '.join(names)}"
         yield Finding("ok", left[0], text, tuple(left[1:]))
     elif len(left) == len(right):
         text = f"has the opposite sign of {', '.join(right)} in turns; left turns must be positive"
@@ -95,7 +95,7 @@ def _sign_hint(name: str) -> str:
         return ": left and right may be exchanged"
     if name == "gyroscope":
         return (
-            ": set 'sign: -1' on all three of its axes, or on those of the accelerometer (or "
-            "remove it if it is set)"
+            ": set 'sign: -1' on all three of its axes, or on all three axes of the "
+            "accelerometer (or remove it if it is set)"
         )
     return f": left turns must be positive; {TURN_SIGN}"

@@ -162,7 +162,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     rivals = state.rivals.get(trial.hypothesis.name, [])
     if rivals:
         names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
-        texts.append(f"{names} does as well on data that no fit saw")
+        texts.append(f"{names} explains data that was not used for the fit equally well")
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:
