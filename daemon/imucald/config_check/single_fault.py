@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config_check.finding import TURN_SIGN, Finding
-from imucald.config_check.motion import Motion
+from imucald.config_check.finding import HEADING_SIGN, TURN_SIGN, Finding
+from imucald.config_check.motion import HEADING, Motion
 from imucald.core.arrays import Array
 from imucald.mount.mirror import AT_REST
 
@@ -93,6 +93,8 @@ def _faults(motion: Motion) -> Iterator[SingleFault]:
         if channel in motion.grid:
             remedy = f"left turns must be positive; {TURN_SIGN}"
             yield SingleFault(quantity, "wrong sign", remedy, channel, -np.eye(1))
+    if HEADING in motion.grid:
+        yield SingleFault(HEADING, "wrong sign", HEADING_SIGN, HEADING, -np.eye(1))
     if "wheel_speeds" in motion.grid:
         text = "left and right exchanged"
         yield SingleFault("wheel_speeds", text, "exchange their lines", "wheel_speeds", _OTHER_SIDE)

@@ -7,7 +7,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imucald.config_check.finding import TURN_SIGN, Finding, gain_guess, is_beyond, spread
+from imucald.config_check.finding import (
+    HEADING_SIGN,
+    TURN_SIGN,
+    Finding,
+    gain_guess,
+    is_beyond,
+    spread,
+)
+from imucald.config_check.motion import HEADING
 from imucald.config_check.relation import relation
 from imucald.core.arrays import Array
 from imucald.mount.contradictions import UNLIKE, WRONG_UNIT
@@ -37,6 +45,8 @@ def sign_findings(
     reference = next(iter(gains), "")
     for name, rate in rates.items():
         if name in gains or spread(rate) <= MIN_TURNING or not reference:
+            continue
+        if name == HEADING:  # a course may be late by more than a bend takes
             continue
         found = relation(rates[reference], rate)
         if abs(found.correlation) < UNLIKE and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
@@ -98,4 +108,6 @@ def _sign_hint(name: str) -> str:
             ": set 'sign: -1' on all three of its axes, or on all three axes of the "
             "accelerometer (or remove it if it is set)"
         )
+    if name == HEADING:
+        return f": {HEADING_SIGN}"
     return f": left turns must be positive; {TURN_SIGN}"
