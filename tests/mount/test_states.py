@@ -66,6 +66,7 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
         (0.5, False, MountState.USABLE, MountState.SUSPECT),
         (3.0, True, MountState.USABLE, MountState.SUSPECT),
         (3.0, False, MountState.SUSPECT, MountState.SUSPECT),
+        (0.5, False, MountState.LEVELLED, MountState.LEVELLED),
     ],
 )
 def test_a_mount_that_is_no_longer_certain_is_suspect_only_if_it_is_doubted(
@@ -75,7 +76,7 @@ def test_a_mount_that_is_no_longer_certain_is_suspect_only_if_it_is_doubted(
     now = known(3.0)
     now = replace(now, std_of_sound=(*now.std[:2], of_sound * DEG))
     found = judged(now, before, SETTINGS)
-    is_uncertain = is_mount_uncertain(now, before, SETTINGS)
+    is_uncertain = is_mount_uncertain(now, SETTINGS)
     assert reported(found, before, False, True, has_moved, is_uncertain) == expected
 
 

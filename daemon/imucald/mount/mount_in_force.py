@@ -60,13 +60,14 @@ def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
 
 
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
-    """Return an estimator that holds the mount reported now; None if there is no mount.
+    """Return an estimator that holds the mount reported now; None if there is no mount, or if the
+    mount is no longer certain.
 
     The given estimator continues inside, because it detects best whether the drive contradicts the
     mount.
     """
     stored = mount_in_force(estimator)
-    if stored is None:
+    if stored is None or estimator.state is MountState.LEVELLED:
         return None
     is_open = estimator.state is MountState.RESTORED
     phase = Phase.RESTORED if is_open else Phase.CONFIRMED

@@ -12,8 +12,6 @@ from imucald.mount.hysteresis import BAD, GOOD
 from imucald.mount.slewing import SlewedCorrection
 from imucald.mount.states import MountKnowledge, is_mount_uncertain, judged, reported
 
-UNSENT = frozenset({MountState.WAITING, MountState.LEVELLED})
-"""States in which no correction is sent."""
 SLEW_RATE = math.radians(0.5)
 """Largest rate at which the applied correction turns [rad/s]."""
 
@@ -35,18 +33,18 @@ class ServedMount:
 
     @property
     def correction(self) -> Correction | None:
-        """Correction to apply now; None while the mount is too uncertain to be sent."""
-        return None if self.state in UNSENT else self._slewed.correction
+        """Correction that was good last; the state says whether it may be sent."""
+        return self._slewed.correction
 
     @property
     def was_good(self) -> bool:
         """True if there was a good correction in this drive."""
-        return self._slewed.correction is not None
+        return self.correction is not None
 
     @property
     def good(self) -> Correction | None:
-        """Correction that was good last, unless the sensor was moved since."""
-        return None if self.has_moved else self._slewed.correction
+        """Correction that was good last; None if the sensor was moved since."""
+        return None if self.has_moved else self.correction
 
     @property
     def has_arrived(self) -> bool:
@@ -72,7 +70,8 @@ class ServedMount:
         returns the correction from the present evidence.
         """
         found = self._accepted(judged(known, self.state, self._settings), acceptance)
-        before, is_uncertain = self.state, is_mount_uncertain(known, self.state, self._settings)
+        before = self.state
+        is_uncertain = is_mount_uncertain(known, self._settings)
         doubts = has_faults, self.was_good, self.has_moved, is_uncertain
         self.state = reported(found, before, *doubts)
         if self.state not in GOOD:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from imucald.core.rotations import Matrix3
 from imucald.mount.alternatives import Alternatives
 from imucald.mount.carried_force import CarriedForce
-from imucald.mount.contradictions import Contradictions, StandingFault
+from imucald.mount.contradictions import WRONG_UNIT, Contradictions, StandingFault
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.log_ratios import TO_BE_FINE, TO_BE_GOOD
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
@@ -54,6 +54,7 @@ class SignalChecks:
     def __init__(self, settings: EstimatorSettings) -> None:
         self._contradictions = Contradictions(settings)
         self._alternatives = Alternatives(settings)
+        self._gains = (1.0, 1.0)
         self.standing: tuple[StandingFault, ...] = ()
         self.history: list[tuple[int, StandingFault]] = []
 
@@ -74,6 +75,7 @@ class SignalChecks:
             self.standing = ()
             return False
         R, offset = carried.R, signals.steering_offset
+        self._gains = carried.gains
         self._contradictions.take_block(
             p,
             carried.turn_rate,
@@ -153,7 +155,13 @@ class SignalChecks:
     @property
     def have_agreed(self) -> bool:
         """True if all signals were seen to agree, with the certainty that *fine* needs."""
-        return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
+        agreed = self._contradictions.agreed and self._has_usual_gains
+        return agreed and self._alternatives.are_seen(TO_BE_FINE)
+
+    @property
+    def _has_usual_gains(self) -> bool:
+        """True if the gains of the force on dv/dt and v r show no wrong unit."""
+        return all(1.0 / WRONG_UNIT < gain < WRONG_UNIT for gain in self._gains)
 
     def share(self, is_fine: bool) -> float:
         """Return the collected share (0 to 1) of the evidence that the signals agree.
@@ -162,6 +170,8 @@ class SignalChecks:
         """
         if not is_fine:
             return self._alternatives.share(TO_BE_GOOD)
+        if not self._has_usual_gains:
+            return 0.0
         signs = self._alternatives
         return min(signs.share(TO_BE_FINE), signs.mirror_share, self._contradictions.share)
 

@@ -124,24 +124,9 @@ class MountKnowledge(Struct, frozen=True):
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
     """Return the state for this knowledge, with hysteresis against the previous state."""
-    return _judged(known, known.std, before, s)
-
-
-def is_mount_uncertain(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> bool:
-    """True if a mount and sensor that are known to be sound would not be good either."""
-    std = known.std if known.std_of_sound is None else known.std_of_sound
-    return _judged(known, std, before, s) not in GOOD
-
-
-def _judged(
-    known: MountKnowledge,
-    std: tuple[float, float, float],
-    before: MountState,
-    s: EstimatorSettings,
-) -> MountState:
     if not known.gravity:
         return MountState.WAITING
-    roll, pitch, yaw = std
+    roll, pitch, yaw = known.std
     is_sparse = known.without_speed or not known.has_gyro
     limits, slack = s.limits, WIDE_SLACK if is_sparse else SLACK
     levels = (
@@ -149,6 +134,17 @@ def _judged(
         Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, True, slack),
     )
     return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
+
+
+def is_mount_uncertain(known: MountKnowledge, s: EstimatorSettings) -> bool:
+    """True if most of the variance is that of a sound sensor in a mount that does not move.
+
+    The variance is that of the angle which is furthest from being *usable*.
+    """
+    limits = s.limits.usable_tilt, s.limits.usable_tilt, s.limits.usable_yaw
+    worst = max(range(3), key=lambda i: known.std[i] / limits[i])
+    of_sound = known.std if known.std_of_sound is None else known.std_of_sound
+    return 2.0 * of_sound[worst] ** 2 >= known.std[worst] ** 2
 
 
 def reported(
@@ -171,8 +167,9 @@ def reported(
         return MountState.SUSPECT
     if has_moved and found is MountState.LEVELLED and before in BAD:
         return MountState.RECALIBRATING
-    is_doubted = has_moved or (was_good and (before in BAD or not is_uncertain))
-    return MountState.SUSPECT if is_doubted and not is_good else found
+    is_doubted = before in BAD or (before in GOOD and not is_uncertain)
+    is_suspect = not is_good and (has_moved or (was_good and is_doubted))
+    return MountState.SUSPECT if is_suspect else found
 
 
 def waiting_for(

@@ -121,6 +121,9 @@ class AttitudeConsumer:
 
     def _turn(self, correction: Correction | None) -> None:
         if correction is None:
+            found = self.filter.check
+            if found is not None and self._correction is not None:  # valid in the sensor's axes
+                self._saved_check = _as_sensed(found, self._correction)
             self.filter.reset()
         elif self._correction is not None:
             self.filter.turned(self._correction.rotation, correction.rotation)

@@ -115,6 +115,8 @@ FOLLOWS = 0.8
 """Smallest gain of the force on dv/dt in a band that is used, as a share of the median gain of the
 three slowest bands.
 """
+CERTAIN = 2.0
+"""A band is not used if its gain is smaller than this limit by so many standard errors."""
 USUAL_NOISE: Final = np.array(
     [
         [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
@@ -867,8 +869,10 @@ class Evidence:
             float(known @ np.square(wd.OMEGA)), 1e-9
         )
         self.delay_std = min(math.sqrt(spread), self._late.std) if known.any() else math.inf
-        gain = np.bincount(wd.BAND, answer) / np.bincount(wd.BAND, power)
-        follows = gain >= FOLLOWS * median(gain[:3])
+        in_band = np.asarray(np.bincount(wd.BAND, power), dtype=float)
+        gain = np.bincount(wd.BAND, answer) / in_band
+        error = np.sqrt(0.5 * wd.OVERLAP * noise / in_band)
+        follows = gain + CERTAIN * error >= FOLLOWS * median(gain[:3])
         until = max(int(np.argmax(np.r_[~follows, True])), 3)
         self._bands = np.arange(wd.BANDS) < until
         if abs(best) > MOST_LATE and self._axes is not None:
@@ -957,14 +961,14 @@ class Evidence:
         compared with all earlier segments.
         """
         priors, force, turning = self._priors, self._sums.force, self._sums.turning
-        size, variance = force.changes(force.by_segment(to_last=True), spans)
+        size, variance = force.changes(force.by_segment(True, is_weighted=False), spans)
         for k, answered in enumerate(self._answered):
             for place, (i, j) in answered:
                 own = variance[k, :, place] + self._left_out(i, j)
                 yield EntryChange(self._answer_row(i, j)[PHI], size[k, :, place], own)
         if not self.signals.gyro:
             return
-        size, variance = turning.changes(turning.by_segment(to_last=True), spans)
+        size, variance = turning.changes(turning.by_segment(True, is_weighted=False), spans)
         for i in range(2):
             roads = priors.turning[i] ** 2 + priors.slope**2 / spans
             own = variance[i, :, 0] + roads

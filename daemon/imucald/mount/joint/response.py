@@ -68,26 +68,36 @@ class Packing:
         """
         return np.asarray(v[..., self._i] * v[..., self._j] * self._twice)
 
+    def trace(self, C: Array) -> Array:
+        """Return the factors (..., size) of the trace of C G for matrices C (..., columns,
+        columns).
+        """
+        return np.asarray(C[..., self._i, self._j] * self._twice)
+
 
 class Responses(NamedTuple):
     """Results of F fits.
 
     value: (F, keep) coefficients. covariance: (F, keep, keep) covariance of the coefficients.
     segments: (F, keep) effective number of road segments. vector: (F, 1 + p) factors that compute
-    the residual from the columns of a window. noise: (F, BANDS) noise of each frequency band,
-    infinite in unused bands. trust: (F, n) weight of each window, computed from its residual.
+    the residual from the columns of a window. power: (F, size) factors that compute the expected
+    power of the noise from a packed window, see `left_of`. noise: (F, BANDS) noise of each
+    frequency band, infinite in unused bands. trust: (F, n) weight of each window, computed from
+    this power.
     """
 
     value: Array
     covariance: Array
     segments: Array
     vector: Array
+    power: Array
     noise: Array
     trust: Array
 
 
 def trust_in(left: Array, noise: Array) -> Array:
-    """Return the weights (F, n) of windows. left: (F, n, BANDS) residual power. noise: (F, BANDS).
+    """Return the weights (F, n) of windows. left: (F, n, BANDS) power, see `left_of`. noise: (F,
+    BANDS).
 
     The weight is the expected inverse of the window's noise factor (Lange, Little and Taylor, JASA
     84, 1989).
@@ -101,12 +111,15 @@ def _values(bands: NDArray[np.bool_]) -> float:
     return float(2.0 * _BINS[bands].sum() / OVERLAP)
 
 
-def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
-    """Return the residual power (F, n, BANDS) of fits in windows. rows: (F, n, BANDS, size) packed
-    windows. vector: (F, 1 + p) factors of each fit.
+def left_of(rows: Array, power: Array, packing: Packing) -> Array:
+    """Return the expected power (F, n, BANDS) of the noise of fits in windows.
+
+    rows: (F, n, BANDS, size) packed windows. power: (F, size) factors of each fit. The power is
+    that of the residual, plus that of the errors of the coefficients: a window that decides the fit
+    has a small residual, and its noise is not smaller for that.
     """
     flat = rows.reshape(len(rows), -1, packing.size)
-    made = (flat @ packing.form(vector)[:, :, None]).reshape(rows.shape[:3])
+    made = (flat @ power[:, :, None]).reshape(rows.shape[:3])
     return np.asarray(np.maximum(made, 1e-12 * rows[..., 0] + 1e-15))
 
 
@@ -133,7 +146,6 @@ def grown(ratio: Array, segments: Array | int) -> Array:
 
 def respond(
     rows: Array,
-    counts: Array,
     old: int,
     packing: Packing,
     usual: Array,
@@ -146,10 +158,9 @@ def respond(
     """Fit column 0 on the other columns, in F fits at once.
 
     rows: (F, n, BANDS, size) packed products. The first `old` rows are road segments, and the other
-    rows are windows. counts: (F, n) weighted number of windows in each row. usual: (F, BANDS)
-    expected noise. spread: (F, p) prior deviations of the coefficients. keep: number of
-    coefficients to return. bands: (BANDS,) flags of the used bands. noise, trust: results of the
-    previous fit, if the previous fit used most of these windows.
+    rows are windows. usual: (F, BANDS) expected noise. spread: (F, p) prior deviations of the
+    coefficients. keep: number of coefficients to return. bands: (BANDS,) flags of the used bands.
+    noise, trust: results of the previous fit, if the previous fit used most of these windows.
     """
     fits, p = len(rows), packing.columns - 1
     bins = np.where(bands, _BINS, 0.0)
@@ -159,26 +170,25 @@ def respond(
     passes = PASSES if trust is None else MORE_PASSES
     trust = np.ones(rows.shape[:2]) if trust is None else trust.copy()
     noise = usual if noise is None else np.where(bands & np.isfinite(noise), noise, usual)
-    values = _values(bands)
-    one = np.ones((fits, 1))
+    made = old * SEGMENTS[0] + rows.shape[1] - old
+    one, errors = np.ones((fits, 1)), np.zeros((fits, 1 + p, 1 + p))
     for _ in range(passes):
         weight = (2.0 / OVERLAP) * trust[:, :, None] / noise[:, None]
         total = packing.matrices((weight.reshape(fits, 1, -1) @ flat)[:, 0])
         covariances = inverse(total[:, 1:, 1:] + prior)
         beta = (covariances @ total[:, 1:, :1])[:, :, 0]
         vector = np.concatenate([one, -beta], axis=1)
-        left = left_of(rows, vector, packing)
-        n = (trust * counts).sum(axis=1)
-        given = n * values / np.maximum(n * values - p, 0.3 * n * values)  # what the fit took up
-        found = given[:, None] * (trust[:, None] @ left)[:, 0] / np.maximum(bins, 1.0)
-        noise = np.asarray((found + NOISE_WINDOWS * usual) / (n + NOISE_WINDOWS)[:, None], float)
+        errors[:, 1:, 1:] = covariances
+        power = packing.form(vector) + packing.trace(errors)
+        left = left_of(rows, power, packing)
+        found = (trust[:, None] @ left)[:, 0] / np.maximum(bins, 1.0)
+        noise = np.asarray((found + NOISE_WINDOWS * usual) / (made + NOISE_WINDOWS), float)
         trust[:, old:] = trust_in(left[:, old:], noise)  # in the sums of old ones it is already
     each = (weight[:, :, None] @ rows)[:, :, 0]
     scores = (packing.matrices(each) @ vector[:, None, :, None])[:, :, 1:, 0]
     model = covariances[:, :keep, :keep]
     variance = np.diagonal(model, axis1=1, axis2=2)
     segment = segments_of(old, rows.shape[1])
-    made = old * SEGMENTS[0] + rows.shape[1] - old
     sandwich = np.zeros((fits, keep))
     for length in SEGMENTS:
         s = _by_place(scores, segment * SEGMENTS[0] // length, made // length + 1)
@@ -196,7 +206,8 @@ def respond(
     grow = np.maximum(grown(ratio, segments), 1.0) * student
     root = np.sqrt(grow)
     covariance = np.asarray(model * root[:, :, None] * root[:, None], dtype=float)
-    return Responses(np.asarray(beta[:, :keep], float), covariance, segments, vector, noise, trust)
+    value = np.asarray(beta[:, :keep], float)
+    return Responses(value, covariance, segments, vector, power, noise, trust)
 
 
 def _effective_segments(

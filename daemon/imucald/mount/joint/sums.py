@@ -65,7 +65,7 @@ class FitSums:
         self._fits = fits
         self._packing = Packing(len(fits.columns[0]))
         self._store = np.zeros((len(fits.columns), ROUND, wd.BANDS, self._packing.size))
-        self._counts = np.zeros((len(fits.columns), 0))
+        self._counts = np.zeros((len(fits.columns), 0))  # sums of weights in the old rows
         self._trust = np.zeros((len(fits.columns), 0))  # by the last fit; the old rows hold theirs
         self._old = 0
         self._last: Responses | None = None
@@ -83,10 +83,18 @@ class FitSums:
 
     @property
     def noise(self) -> Array:
-        """Noise (F, BANDS) of the last fits, infinite in unused bands. Before any fit, the result
-        is the expected noise.
+        """Noise (F, BANDS) of the last fits. In unused bands, and before any fit, the result is the
+        expected noise.
         """
-        return self._fits.usual if self._last is None else self._last.noise
+        usual = self._fits.usual
+        if self._last is None:
+            return usual
+        return np.where(np.isfinite(self._last.noise), self._last.noise, usual)
+
+    @property
+    def trust(self) -> Array:
+        """Weights (F, m) of the last m windows in the last fit."""
+        return self._trust[:, self._old :]
 
     def add_windows(self, products: Array) -> None:
         """Take the products (n, BANDS, columns, columns) of n windows."""
@@ -100,7 +108,7 @@ class FitSums:
         self._counts = np.concatenate([self._counts, new], axis=1)
         if (last := self._last) is not None:
             rows = self._store[:, at:stop]
-            new = trust_in(left_of(rows, last.vector, self._packing), last.noise)
+            new = trust_in(left_of(rows, last.power, self._packing), last.noise)
         self._trust = np.concatenate([self._trust, new], axis=1)
         while last is not None and self._rows.shape[1] - self._old >= RECENT + ROUND:
             self._put_together()
@@ -136,15 +144,18 @@ class FitSums:
         self._old -= segments
         self.has_fitted = self.has_fitted and self._rows.shape[1] > 0
 
-    def by_segment(self, to_last: bool = False) -> Array:
+    def by_segment(self, to_last: bool = False, is_weighted: bool = True) -> Array:
         """Return the information (F, S, columns, columns) of each road segment.
 
         Weights and noise are results of the last fit. Windows after the last fit are included too.
-        to_last: as in `segments_of`.
+        to_last: as in `segments_of`. is_weighted: False: each window has the same weight.
         """
         last = self._last
         assert last is not None
-        weight = (2.0 / OVERLAP) * self._trust[:, :, None] / last.noise[:, None]
+        trust = self._trust
+        if not is_weighted:
+            trust = np.where(np.arange(trust.shape[1]) < self._old, SEGMENTS[0] / self._counts, 1.0)
+        weight = (2.0 / OVERLAP) * trust[:, :, None] / last.noise[:, None]
         rows = (weight[:, :, None] @ self._rows)[:, :, 0]
         segment = segments_of(self._old, rows.shape[1], to_last)
         starts = np.flatnonzero(np.diff(segment, prepend=-1))
@@ -176,15 +187,23 @@ class FitSums:
         moved = C[:, None] @ w
         known = w[:, :, :keep] - w.swapaxes(2, 3) @ moved
         covariance = inverse(known + NOTHING * (1.0 + total[:, None, 1:2, 1:2]) * np.eye(keep))
-        size = covariance @ (after[:, :, 1 : 1 + keep] @ vector[:, None])
+        score = after[:, :, 1 : 1 + keep] @ vector[:, None]
+        size = covariance @ score
         off = beta[:, None] - moved @ size  # of all that came before
-        grow = _grown_before(G, C[:, :keep], off[..., 0], G.shape[1] - spans)
+        row = vector.swapaxes(1, 2)
+        power = (row[:, None] @ after @ vector[:, None])[..., 0, 0]  # of the last segments
+        before = (row @ total @ vector)[..., 0] - power
+        power = power - (score * size).sum(axis=(2, 3))  # with the change
+        segments = G.shape[1] - spans
+        louder = power / spans * segments / np.maximum(before, NOTHING)
+        grow = _grown_before(G, C[:, :keep], off[..., 0], segments)
+        grow = grow * np.maximum(louder, 1.0)[..., None]
         return size[..., 0], np.abs(np.diagonal(covariance, axis1=2, axis2=3)) * grow
 
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
         """Return the fits on all windows. bands: flags of the used bands."""
         _, usual, spread, keep = self._fits
-        args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
+        args = self._rows, self._old, self._packing, usual, spread, keep, bands
         last = (self.noise, self._trust) if self.has_fitted else ()
         self._last = found = respond(*args, *last)
         self._trust, self.has_fitted = found.trust, True
@@ -239,6 +258,7 @@ class WindowSums:
         self._blocks = np.zeros(0, dtype=int)
         self._cross = np.zeros((0, len(wd.BINS)), dtype=complex)
         self._power = np.zeros((0, len(wd.BINS)))
+        self._trust = np.zeros(0)
         self._shared = np.zeros((0, 2, 4))
 
     def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
@@ -253,6 +273,7 @@ class WindowSums:
         self._blocks = np.concatenate([self._blocks, blocks])
         self._cross = np.concatenate([self._cross, np.conj(driven) * spectra[:, :, 0]])
         self._power = np.concatenate([self._power, np.abs(driven) ** 2])
+        self._trust = np.concatenate([self._trust, np.ones(len(blocks))])
         shared = np.concatenate([main[:, :, MAIN], main[:, :, TURNED]], axis=2)
         self._shared = np.concatenate([self._shared, shared])
 
@@ -265,7 +286,7 @@ class WindowSums:
             fit.drop(gone)
         self._blocks = self._blocks[gone:] - blocks
         self._cross, self._power = self._cross[gone:], self._power[gone:]
-        self._shared = self._shared[gone:]
+        self._shared, self._trust = self._shared[gone:], self._trust[gone:]
 
     def began(self, segments: NDArray[np.int_]) -> NDArray[np.int_]:
         """Return the first block (S,) of a group of road segments that ends with the last window.
@@ -282,10 +303,13 @@ class WindowSums:
 
     @property
     def followed(self) -> tuple[Complex, Array]:
-        """Sums for each frequency bin (bins,): the product of dv/dt with the force ahead, and the
-        square of dv/dt.
+        """Weighted sums for each frequency bin (bins,): the product of dv/dt with the force ahead,
+        and the square of dv/dt. The weights are those of the fit of the force ahead.
         """
-        return self._cross.sum(axis=0), self._power.sum(axis=0)
+        trust = self.force.trust[0]
+        self._trust[len(self._trust) - len(trust) :] = trust
+        cross = np.asarray(self._trust @ self._cross, dtype=complex)
+        return cross, self._trust @ self._power
 
     @property
     def leak(self) -> Array:
