@@ -214,7 +214,7 @@ def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() ->
     report = checked(list(bus_frames(linear, BusEncoder(example_config()))))
     assert not report["usable"]
     text = findings(report, "error")["accelerometer"]
-    assert "gravity is removed from it" in text
+    assert "gravity is already removed" in text
     assert "unit" not in text
 
 
