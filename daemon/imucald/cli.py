@@ -76,7 +76,7 @@ GROUPS = {
         "replay": "find the mount in recorded logs, as the live daemon would",
         "draw": "draw the orientation of a sensor from its mount angles",
     },
-    "run it in a vehicle": {
+    "run imucald in a vehicle": {
         "run": "calibrate on a live bus and send corrected frames",
         "status": "show the state of a running daemon",
         "wait": "wait until a running daemon sends good frames",

@@ -214,7 +214,7 @@ def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() ->
     report = checked(list(bus_frames(linear, BusEncoder(example_config()))))
     assert not report["usable"]
     text = findings(report, "error")["accelerometer"]
-    assert "gravity is removed from it" in text
+    assert "gravity is already removed" in text
     assert "unit" not in text
 
 
@@ -514,7 +514,9 @@ def test_every_frame_that_the_daemon_sends_is_listed(frames: Frames, switches: s
 def test_a_channel_mix_up_is_reported(frames: Frames) -> None:
     change = replacing("ESC_Brake.BrakePressed", "{signal: ESC_Brake.BrakePressed, channel: can7}")
     report = checked(frames[:1], change)
-    assert "comes on can0, but the configuration says can7" in findings(report, "warning")["brake"]
+    assert (
+        "comes on can0, but the configuration states can7" in findings(report, "warning")["brake"]
+    )
 
 
 def test_an_empty_log_is_not_usable() -> None:

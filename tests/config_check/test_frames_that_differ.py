@@ -84,7 +84,7 @@ def test_the_address_that_is_taken_is_the_one_to_name_not_a_lower_one_that_came_
     early = [(0.01 * i, ACC + 0xE2 | CAN_EFF_FLAG, bytes(8)) for i in range(800)]
     check.feed(columns_of(sorted(early + late)))
     text = texts(check.findings(), "addresses")
-    assert "0xE2 is used, which was chosen in the first seconds" in text
+    assert "0xE2 is used (chosen in the first seconds)" in text
     assert "'source_address: 0xE2'" in text
 
 

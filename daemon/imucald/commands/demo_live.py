@@ -69,7 +69,7 @@ class SimulatedBus:
         return not self._thread.is_alive()
 
     def close(self) -> None:
-        """Stop at any point of the drive."""
+        """Stop sending frames. The call is allowed at any time of the drive."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join(2.0)

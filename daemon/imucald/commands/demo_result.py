@@ -75,7 +75,7 @@ def print_result(demo: Demonstration, waited: float | None, console: Console | N
     console.print()
     console.print("Next, with a database and a log of your vehicle:")
     console.print("  imucald init --database car.dbc --out car.yaml drive.log   proposes car.yaml")
-    console.print("  imucald check  --config car.yaml drive.log   finds what is wrong in it")
+    console.print("  imucald check  --config car.yaml drive.log   lists errors in car.yaml")
     console.print("  imucald replay --config car.yaml drive.log   finds the mount")
 
 

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--write-model",
         metavar="FILE",
         help=(
-            "write the extended model file. Use it with 'simulate --model', or with the key "
+            "write the extended model file. Use the file with 'simulate --model', or with the key "
             "'model:' of a configuration"
         ),
     )

@@ -29,9 +29,9 @@ NO_SOCKET = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `run`."""
     parser.epilog = (
-        "Ctrl-C or SIGTERM stops it. After SIGHUP the daemon reads the configuration again. Exit "
-        "status: 0 stopped, 1 an error (for example: the interface does not exist), 78 the "
-        "configuration is wrong.\n\n  imucald run --config car.yaml\n  imucald run --config "
+        "Ctrl-C or SIGTERM stops the daemon. After SIGHUP the daemon reads the configuration "
+        "again. Exit status: 0 stopped, 1 an error (for example: the interface does not exist), 78 "
+        "the configuration is wrong.\n\n  imucald run --config car.yaml\n  imucald run --config "
         "car.yaml --channel can0 --state-dir state"
     )
     add_config(parser)

@@ -172,7 +172,7 @@ def find_socket(given: Path | None, channel: str | None) -> Path:
         which = f" for {channel}" if channel else ""
         raise LinkError(
             f"no running daemon found{which}; start one (imucald run --config FILE, or systemctl "
-            "start imucald@can0), or name the status socket of one (--socket PATH)"
+            "start imucald@can0), or name the status socket of a daemon (--socket PATH)"
         )
     choice = ", ".join(str(path) for path in found)
     raise LinkError(f"several daemons run; name one by its channel or by --socket: {choice}")

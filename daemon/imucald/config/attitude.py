@@ -26,7 +26,7 @@ AxisConvention = Literal["force", "gravity"]
 
 
 class MotionCompensationSettings(Settings, frozen=True):
-    """Method B: the vehicle's acceleration is subtracted from the specific force."""
+    """Settings of method B: the vehicle's acceleration is subtracted from the specific force."""
 
     average: Positive = 0.2
     """Time over which the speed is averaged [s]."""
@@ -64,7 +64,7 @@ class MotionCompensationSettings(Settings, frozen=True):
 
 
 class FilterSettings(Settings, frozen=True):
-    """Method C: the nine-state filter."""
+    """Settings of method C: the filter with nine states."""
 
     heading: Literal["free", "signal", "magnetometer"] = "free"
     """Source of the heading. With free, the heading is relative to the heading at the start."""
@@ -133,7 +133,8 @@ class FilterSettings(Settings, frozen=True):
 
 
 class AttitudeSettings(Settings, frozen=True):
-    """Attitude of the vehicle, computed from corrected samples (methods B and C)."""
+    """Settings for the attitude of the vehicle, computed from corrected samples (methods B and
+    C)."""
 
     enabled: bool = False
     """True: the attitude is computed and sent. The attitude requires a gyroscope."""
@@ -153,7 +154,7 @@ class AttitudeSettings(Settings, frozen=True):
 
 
 class StepSettings(Settings, frozen=True):
-    """Method D, step 1: step cycles."""
+    """Settings of method D, step 1: detection of step cycles."""
 
     shortest: Positive = 0.28
     """Shortest step cycle [s]: a running person."""
@@ -170,7 +171,7 @@ class StepSettings(Settings, frozen=True):
 
 
 class ChoiceSettings(Settings, frozen=True):
-    """Method D, steps 2 and 5: the choice between compass heading and tilt heading."""
+    """Settings of method D, steps 2 and 5: the choice between compass heading and tilt heading."""
 
     turn_deg: Positive = 60.0
     """If the compass changes by more than this since the last step cycle, the person turns."""
@@ -189,7 +190,7 @@ class ChoiceSettings(Settings, frozen=True):
 
 
 class AlternativeSettings(Settings, frozen=True):
-    """The alternative to method D."""
+    """Settings of the alternative to method D for the direction of travel."""
 
     gravity_time: Positive = 3.0
     """Time constant with which the accelerometer corrects roll and pitch of the terminal [s]."""
@@ -210,7 +211,8 @@ class AlternativeSettings(Settings, frozen=True):
 
 
 class TravelDirectionSettings(Settings, frozen=True):
-    """Direction of travel of a carried terminal (method D), from samples in terminal axes."""
+    """Settings for the direction of travel of a carried terminal (method D), from samples in
+    terminal axes."""
 
     enabled: bool = False
     """True: the direction is computed and sent. The direction requires a magnetometer or a

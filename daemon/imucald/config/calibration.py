@@ -21,7 +21,7 @@ from imucald.config.base import (
 
 
 class StaticTestSettings(Settings, frozen=True):
-    """Method A, steps 1 to 3: standstill, and tilt from gravity."""
+    """Settings of method A, steps 1 to 3: standstill, and tilt from gravity."""
 
     samples: Annotated[int, Meta(ge=2, le=100_000)] = 20
     """Smallest number of accelerometer samples in a window at rest."""
@@ -44,7 +44,7 @@ Recogniser = Literal["yaw_rate", "steering", "consistency"]
 
 
 class StraightMotionSettings(Settings, frozen=True):
-    """Method A, step 4: recognition of straight motion at variable speed."""
+    """Settings of method A, step 4: detection of straight motion with changing speed."""
 
     recognise_by: (
         Literal["all"]
@@ -103,7 +103,7 @@ class StraightMotionSettings(Settings, frozen=True):
 
 
 class TargetAngleSettings(Settings, frozen=True):
-    """Method A, step 5: the yaw angle and its sign."""
+    """Settings of method A, step 5: the yaw angle and its sign."""
 
     sign_from: Annotated[
         tuple[Literal["speed", "brake", "turn", "first_motion"], ...], Meta(min_length=1)

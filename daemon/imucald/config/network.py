@@ -25,7 +25,7 @@ Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
 
 
 class Counter(Settings, frozen=True):
-    """Alive counter of a message."""
+    """Settings of the alive counter of a message."""
 
     signal: str
     modulus: Annotated[int, Meta(ge=2, le=65536)] | None = None
@@ -36,7 +36,7 @@ class Counter(Settings, frozen=True):
 
 
 class ChecksumSettings(Settings, frozen=True):
-    """Checksum of a message."""
+    """Settings of the checksum of a message."""
 
     kind: str
     """Kind of the checksum: "none" or a kind of `can.e2e.checksums`."""
@@ -53,7 +53,7 @@ class ChecksumSettings(Settings, frozen=True):
 
 
 class MessageProtection(Settings, frozen=True):
-    """Cycle time and protection of a message."""
+    """Settings of a message's cycle time and protection."""
 
     cycle_time: Positive | None = None
     """Cycle time [s]; default: GenMsgCycleTime of the database, if stated."""
@@ -67,7 +67,7 @@ class MessageProtection(Settings, frozen=True):
 
 
 class BusSettings(Settings, frozen=True):
-    """The bus on which `imucald run` receives and sends."""
+    """Settings of the bus on which `imucald run` receives and sends."""
 
     interface: str = "socketcan"
     channel: str = "can0"
@@ -119,7 +119,7 @@ KeyFunctionName = Annotated[str, Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$",
 
 
 class SecurityAccess(Settings, frozen=True):
-    """Access of a tester to routines."""
+    """Settings for the access of a tester to protected routines."""
 
     key_function: KeyFunctionName | None = None
     """`module:function` that computes the key (bytes) of a seed (bytes). Without it no tester gets
@@ -131,7 +131,7 @@ class SecurityAccess(Settings, frozen=True):
 
 
 class Uds(Settings, frozen=True):
-    """Server of ISO 14229 (UDS) over ISO-TP."""
+    """Settings of the diagnostic server: ISO 14229 (UDS) over ISO-TP."""
 
     enabled: bool = False
     """True: requests are answered. Diagnostics require the extra `diagnostics`."""

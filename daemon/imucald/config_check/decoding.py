@@ -62,7 +62,8 @@ _REMEDIES = {
     "counter_repeated": "; a gateway or a second log sends the same frames again, or 'counter:' "
     "(signal, modulus, max_step) of the message is wrong",
     "duplicate_sender": "; a second unit sends this identifier, or a gateway sends it again",
-    "too_fast": "; it comes far more often than usual: check its sender, or set 'cycle_time:'",
+    "too_fast": "; the message comes far more often than usual: check its sender, or set "
+    "'cycle_time:'",
     "status": "; the sensor says that its value cannot be used, or 'valid_when:' of the source is "
     "wrong",
     "out_of_range": "; check 'range:' of the source, and its unit",
@@ -146,7 +147,8 @@ class Decoding:
         channels = [c for c, can_id in self.ids if not (can_id ^ match.can_id) & match.full_mask]
         if channels:
             return (
-                f"; it comes on {', '.join(channels)}, but the configuration says {match.channel}"
+                f"; the message comes on {', '.join(channels)}, but the configuration states "
+                f"{match.channel}"
             )
         flipped = IdMatch(match.can_id ^ CAN_EFF_FLAG, match.mask)
         if any(flipped.matches(can_id, c) for c, can_id in self.ids):
@@ -165,7 +167,7 @@ class Decoding:
         found = {i & J1939_ADDRESS_MASK for c, i in self.ids if match.matches(i, c)}
         if found:
             names = ", ".join(f"0x{address:02X}" for address in sorted(found))
-            key = "set 'j1939: true' at its database to take it from any address"
+            key = "set 'j1939: true' at its database to accept any address"
             if probe.match.mask != CAN_EFF_MASK:
                 key = "see 'source_address:'"
             return f"; its PGN comes from the address {names}: {key}"
@@ -195,7 +197,7 @@ class Decoding:
             taken, address = "all of them are used", min(found)
             if probe.sender is not None and probe.sender.address is not None:
                 address = probe.sender.address
-                taken = f"0x{address:02X} is used, which was chosen in the first seconds"
+                taken = f"0x{address:02X} is used (chosen in the first seconds)"
             text = (
                 f"{probe.name} comes from {len(found)} addresses ({names}): {taken}; name the "
                 f"sender: 'source_address: 0x{address:02X}'"
@@ -211,7 +213,7 @@ class Decoding:
         if len(set(chosen.values())) > 1:
             names = ", ".join(f"{name} of 0x{address:02X}" for name, address in chosen.items())
             text = (
-                f"its messages come from several senders ({names}). Are they one sensor? If "
+                f"its messages come from several senders ({names}). Are the senders one sensor? If "
                 "not, name the sender with 'source_address:', or remove the signals of the "
                 "other sensor"
             )

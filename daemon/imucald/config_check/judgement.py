@@ -75,7 +75,7 @@ _WHEELS = ("wheel_speeds",)
 
 NOT_STATED = OrientationSettings()
 WITHOUT_GRAVITY = (
-    "gravity is removed from it (a 'linear' or 'user' acceleration); give the readings "
+    "gravity is already removed (a 'linear' or 'user' acceleration); give the readings "
     "of the sensor itself"
 )
 UP_REMEDY = (
@@ -176,9 +176,9 @@ def _magnitudes(rates: Mapping[str, Array], never_negative: Mapping[str, str]) -
         if turns >= ONE_SIDED_TURNS:
             where = f"in {bits}" if bits else "in another signal"
             text = (
-                f"it is never negative in {turns} turns. If its sign is {where}, name that signal "
-                "with 'sign_signal:'. If the database misses that the signal is signed, correct "
-                "the database (in a DBC: '-' in place of '+' behind '@0' or '@1')"
+                f"the signal is never negative in {turns} turns. If its sign is {where}, name that "
+                "signal with 'sign_signal:'. If the database misses that the signal is signed, "
+                "correct the database (in a DBC: '-' in place of '+' behind '@0' or '@1')"
             )
             yield Finding("warning", name, text)
 
@@ -257,7 +257,7 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
     else:
         text += (
             ": the signal is stuck, or the vehicle drove at constant speed. Record a start "
-            "or a braking to see which"
+            "or a braking manoeuvre to find out"
         )
         yield Finding("warning", "speed", text)
 
@@ -317,7 +317,7 @@ def _not_checked(
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
         left.append("the accelerometer against the changes of speed (too few changes)")
     if "gyro" not in motion.grid and not motion.planar:
-        left.append("the axes of the accelerometer against those of a gyroscope (no gyroscope)")
+        left.append("the axes of the accelerometer against the axes of a gyroscope (no gyroscope)")
     for text in left:
         yield Finding("note", "check", f"not checked: {text}")
 

@@ -72,7 +72,7 @@ def explained(
         named = Finding("error", one.quantity, text)
         return [named, *others], motion.turned(one.channel, one.matrix)
     words = "; or ".join(f"{one.quantity}: {one.text} ({one.remedy})" for one in possible)
-    text = f"the signals contradict each other. One of these faults explains this: {words}"
+    text = f"the signals contradict each other. One of these faults is the cause: {words}"
     quantities = tuple(one.quantity for one in possible)
     return [Finding("error", "signals", text, quantities), *others], motion
 

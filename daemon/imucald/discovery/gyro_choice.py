@@ -101,7 +101,7 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
             f"{fit.carried.correlation:.2f})"
         )
     if fit.order[1][0] < 0:
-        words.append("its signs are opposite to those of the accelerometer axes")
+        words.append("its signs are opposite to the signs of the accelerometer axes")
     words.append(
         "axes as named" if triad.names_axes else "each axis was found from turns and gravity"
     )

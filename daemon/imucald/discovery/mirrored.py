@@ -42,7 +42,7 @@ def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | No
         accelerometer.doubt = f"with the present signs, {names} would need 'sign: -1': {REMEDY}"
         return
     accelerometer.doubt = (
-        f"'sign: -1' is set on all axes, since {names} would need it otherwise: the sensor "
+        f"'sign: -1' is set on all axes, since {names} would need 'sign: -1' otherwise: the sensor "
         "outputs minus the specific force, or its axes are left-handed (probability "
         f"{100 * likely:.0f} %). Check it at rest: if the axis that points up does not show "
         "+1 g, remove 'sign: -1' here"

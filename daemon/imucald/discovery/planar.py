@@ -23,7 +23,7 @@ from imucald.discovery.reference import (
 from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
-BY_WHEELS = "the wheels that are named right are faster in left turns, which gives the sign"
+BY_WHEELS = "the sign is known because the wheels that are named right are faster in left turns"
 WRONG_SCALE = 2.0
 """Largest accepted ratio of a measured scale to the stated scale. Reverse-engineered databases have
 such errors. A larger ratio means another unit."""

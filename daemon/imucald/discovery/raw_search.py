@@ -95,7 +95,7 @@ def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | Non
             )
             for c in best
         ],
-        "the scale is a guess: compare the highest speed with what you drove",
+        "the scale is a guess: compare the highest speed with the speed of the drive",
     )
 
 

@@ -143,7 +143,7 @@ def _by_turns(
     text = BY_TURNS
     order = [front_left, front_right, rear_left, rear_right]
     if sure_left and sure_right and same_rows:
-        return order, f"{text}, front and rear from the distances that they roll in bends", ""
+        return order, f"{text}, front and rear from the distances that the wheels roll in bends", ""
     left.sort()
     right.sort()
     order = [left[0], right[0], left[1], right[1]]

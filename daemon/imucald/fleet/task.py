@@ -25,8 +25,8 @@ machine."""
 
 OK: Final = "ok"
 OTHER_CODE: Final = "other_code"
-"""Outcome if a worker that joined later has another version of imucald. The run then ends, and the
-log does not count as failed."""
+"""Outcome if a worker that joined later has another version of imucald. The run ends after this
+outcome, and the log does not count as failed."""
 
 
 EVALUATE: Final = "imucald.fleet.evaluation:evaluate"

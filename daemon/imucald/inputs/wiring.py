@@ -47,7 +47,7 @@ class LoadedDatabase(Struct):
 
 
 class _MessageSignals(Struct):
-    """The requested signals of one message; signs: see `MessageRoute`."""
+    """The requested signals of one message. signs: see `MessageRoute`."""
 
     message: Message
     channel: str | None

@@ -74,8 +74,8 @@ def drawn(
 
 
 def _shortened(svg: str) -> str:
-    """Remove parts that a browser does not need. The size is reduced to a third. Texts then use the
-    fonts of the reader's browser.
+    """Remove parts that a browser does not need. The size is reduced to a third. In the shortened
+    picture, texts use the fonts of the reader's browser.
     """
     svg = svg[svg.index("<svg") :].replace(f"'{LAYOUT_FONT}'", READERS_FONTS)
     svg = PATH.sub(lambda m: f'{m[1]}{short_path(m[2])}"', svg)

@@ -116,8 +116,8 @@ def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = Tr
 
 def _busy(path: Path) -> BusyError:
     return BusyError(
-        f"{path}: the daemon runs but did not answer. It is busy, or too many programs ask it "
-        "at the same time; try again"
+        f"{path}: the daemon runs but did not answer. The daemon is busy, or has "
+        "too many clients at the same time; try again"
     )
 
 

@@ -53,7 +53,7 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     yield "corrected_frames_flow", "gauge", about, list(flows)
     yield "held", "gauge", "1 while the mount is held.", [(none, int(status["held"]))]
     alarms = [({"alarm": name}, int(status["health"][name])) for name in ALARMS]
-    yield "alarm", "gauge", "1 while an alarm of the health frame is on.", list(alarms)
+    yield "alarm", "gauge", "1 while an alarm of the health frame is active.", list(alarms)
     angles = [({"angle": a}, mount[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")]
     yield "mount_angle_degrees", "gauge", "Mount angles.", list(angles)
     std = [({"axis": a}, mount["std_deg"][a]) for a in "xyz"]

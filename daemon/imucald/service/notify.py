@@ -123,7 +123,8 @@ def end_count(path: Path | None) -> None:
 
 
 class StartCount:
-    """Resets the count in a file after `LONG_ENOUGH_S`. Without a file (None), nothing is done."""
+    """Resets the count of starts in a file after the process has run for `LONG_ENOUGH_S`. Without a
+    file (None), nothing is done."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path

@@ -45,7 +45,8 @@ class Database:
         self._ambiguous = dict(ambiguous)
 
     def message(self, name: str) -> Message:
-        """Return the message. Raises DatabaseError if it is absent, ambiguous or not decodable."""
+        """Return a message by name. Raises DatabaseError if the message is absent, ambiguous or not
+        decodable."""
         if name in self._ambiguous:
             raise DatabaseError(self._ambiguous[name])
         found = self.messages.get(name)

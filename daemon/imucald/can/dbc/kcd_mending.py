@@ -40,7 +40,8 @@ class MendedKcd:
         self._reason_of = reason_of
 
     def mend(self, _reason: str) -> bool:
-        """Remove every message that cannot be read alone. Return False if there is none."""
+        """Remove every message that cannot be read even without the other messages. Return False if
+        there is none."""
         data = self.text.encode()
         parts, at, count = [], 0, len(self.left_out)
         for one in _messages(data):

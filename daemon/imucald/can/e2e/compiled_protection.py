@@ -14,7 +14,8 @@ from imucald.can.e2e.schedule import Past
 from imucald.core.compiled import Kernels
 
 _MOST_VALUES = 1 << 32
-"""Counters with more values are checked one by one. Same limit as in `core/kernels/frames.c`."""
+"""Largest number of values of a counter that the compiled code checks. Larger counters are checked
+frame by frame in Python. Same limit as in `core/kernels/frames.c`."""
 _MOST_INDEX_BITS = 15
 
 

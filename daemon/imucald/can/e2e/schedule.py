@@ -100,7 +100,7 @@ class Past(Struct):
 
     def begin(self, t: float, since: float) -> None:
         """Process the first frame, or the first frame after a silence. Delayed frames may follow
-        closely."""
+        such a frame at short intervals."""
         if math.isnan(since) and self.phase != LEARN:
             self.due = t - 0.5 * CREDIT_S
             self.begun = t - self.steps * self.cycle

@@ -218,7 +218,7 @@ class Adapter:
         return now - self._failing_since > FAILING_S
 
     def _works(self) -> None:
-        """Register that the driver works. The earlier failures were unreadable records."""
+        """Register that the driver works. Failures before this call were unreadable records."""
         self.rejected += self._failures
         self.why_rejected = self._reason
         self._failures = 0

@@ -160,8 +160,8 @@ _MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
 MAGIC_BYTES: Final = max(map(len, _MEMBERS))
 """Number of first bytes that identify compressed files."""
 _ZSTD_PIECE: Final = 1 << 8
-"""Bytes of input per call of Zstandard. Zstandard returns the whole output of a call at once: at
-most 8 MiB for this number of bytes."""
+"""Number of input bytes per call of Zstandard. Zstandard returns the whole output of a call at
+once: at most 8 MiB for this number of bytes."""
 FREE_BYTES: Final = 64 << 20
 """Size up to which every file may unpack [bytes]."""
 MOST_TIMES: Final = 1000
