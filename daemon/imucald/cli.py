@@ -29,12 +29,12 @@ PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
     "OMP_NUM_THREADS": "1",
 }
-"""Environment variables that are set for this process unless the user has set them. They are read
-when numpy is imported."""
+"""Environment variables that are set for this process unless the user has set them. numpy reads
+these variables when it is imported."""
 
 LARGE_LIBRARIES = ("scipy",)
-"""Libraries that only simulation and diagnosis need. They may be missing in an installation on a
-vehicle."""
+"""Libraries that only simulation and diagnosis need. These libraries may be missing in an
+installation on a vehicle."""
 
 WRONG_USAGE = 2
 DIED_OF = 128
@@ -71,23 +71,23 @@ GROUPS = {
     "begin with your bus": {
         "init": "propose a configuration from a database and a recording or a bus",
         "check": (
-            "check a configuration on a log or a live bus: show what it decodes, and what is wrong"
+            "check a configuration on a log or a live bus: show the decoded signals, and all errors"
         ),
         "replay": "find the mount in recorded logs, as the live daemon would",
-        "draw": "draw how a sensor sits, from its angles",
+        "draw": "draw the orientation of a sensor from its mount angles",
     },
     "run it in a vehicle": {
         "run": "calibrate on a live bus and send corrected frames",
-        "status": "ask a running daemon for its state",
+        "status": "show the state of a running daemon",
         "wait": "wait until a running daemon sends good frames",
         "monitor": "watch a running daemon",
-        "install-service": "install the systemd unit and its companions",
+        "install-service": "install the systemd unit and its additional files",
     },
     "operate it": {
         "events": "list the events of a running daemon, with times",
         "reset": "let a running daemon forget the mount and start again",
-        "hold": "let a running daemon keep its mount and learn nothing",
-        "release": "let a running daemon learn again after a hold",
+        "hold": "hold the mount of a running daemon: driving does not change it",
+        "release": "end a hold: the running daemon estimates the mount again",
         "set-mount": "give a known mount to a running daemon",
         "feed": "send the results of a running daemon to MQTT, KUKSA or Foxglove",
         "metrics": "write or serve the metrics of the running daemons for Prometheus",
@@ -161,8 +161,8 @@ def build_parser(
     """
     parser = _Parser(
         prog="imucald",
-        description="Finds out how an inertial sensor sits in a vehicle, from the signals on the "
-        "CAN bus, and sends its signals corrected to vehicle axes.",
+        description="Determines the mount of an inertial sensor in a vehicle from the signals on "
+        "the CAN bus, and sends the sensor's signals in vehicle axes.",
         epilog="'imucald COMMAND --help' explains a command. First step: imucald demo.",
         formatter_class=lambda prog: _formatter(prog, _ByGroups),
     )
@@ -254,7 +254,7 @@ def _limit_words(error: Exception) -> str | None:
     no_room |= isinstance(error, SystemError) and NO_REASON in str(error)
     if isinstance(error, MemoryError) or number == errno.ENOMEM or no_room:
         return (
-            "the memory that this process may use is full: raise its limit, or give it fewer "
+            "the memory that this process may use is full: raise its limit, or process fewer "
             "or shorter logs at once"
         )
     return None

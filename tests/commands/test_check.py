@@ -249,7 +249,7 @@ def test_a_wrong_unit_that_is_set_is_named_and_not_asked_for(frames: Frames) -> 
     assert "which looks like km/h against m/s" in text
     assert "'unit: m/s' is set: remove it (the unit in the database is km/h) or correct it" in text
     assert "set 'unit:'" not in text
-    assert "speed" not in findings(report, "ok"), "as sent it is not that of the wheels"
+    assert "speed" not in findings(report, "ok"), "as sent it is not from the wheels"
 
 
 def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> None:
@@ -466,7 +466,7 @@ def test_a_signal_that_shows_turns_stands_in_for_the_gyroscope(frames: Frames, t
 
     report = checked(frames, change)
     assert "gyroscope" not in findings(report, "warning")
-    assert "turns are taken from" in findings(report, "note")["gyroscope"]
+    assert "is used for turns" in findings(report, "note")["gyroscope"]
 
 
 def test_a_message_that_does_not_come_is_reported(frames: Frames) -> None:

@@ -432,7 +432,7 @@ def test_sensors_are_not_called_sound_while_none_sends(silent):
     line = next(x for x in drawn(picture(late), 100) if x.startswith("sensors"))
     assert "no accelerometer, no gyroscope" in line
     line = next(x for x in drawn(picture(silent), 100) if x.startswith("sensors"))
-    assert "nothing has come yet" in line
+    assert "no samples received yet" in line
 
 
 def test_what_is_not_learnt_from_is_a_row_where_there_is_something(status):

@@ -21,7 +21,7 @@ def test_a_sign_in_a_bit_of_its_own_says_nothing_of_the_accelerometer(has_bit, i
     axes = {axis: Proposed(f"IMU.Acc{axis}") for axis in "xyz"}
     bit = "CAR.Left" if has_bit else None
     turned = {"": Proposed("CAR.Value", sign=-1, sign_signal=bit)}
-    accelerometer = Choice("accelerometer", axes, "1 g; axes as named")
+    accelerometer = Choice("accelerometer", axes, "1 g; the axes follow from the names")
     choices = [
         accelerometer,
         Choice("yaw_rate", turned, ""),

@@ -98,7 +98,7 @@ def test_a_time_limit_is_handed_on(asked, diagnosed, log):
 
 
 @pytest.mark.parametrize(("verdict", "words"), [
-    ("ambiguous", "a drive that would separate them:"),
+    ("ambiguous", "a drive that would distinguish these causes:"),
     ("ambiguous", "ambiguous: accelerometer bias. "),
     ("unknown", "at 0.62 Hz, while cornering"),
     ("nothing", "Nothing found in "),

@@ -132,7 +132,7 @@ def test_the_file_of_an_ambiguous_verdict_is_for_prediction_only():
     assert "use it" not in text
     assert "nothing that was looked for" not in text
     assert "mount rotation fits as well" in text
-    assert "Residual reduced most, on data not fitted by 68 %" in text
+    assert "Largest reduction of a residual, on data not used for the fit by 68 %" in text
 
 
 def test_one_way_to_separate_two_causes_stands_once():
@@ -562,11 +562,13 @@ def test_a_dozen_that_cannot_be_distinguished_have_a_short_headline_and_rivals_t
     assert headline == (
         "Ambiguous: accelerometer bias, accelerometer scale, accelerometer cross-axis or 9 others"
     )
-    rivals = "accel bias and gyro scale and lever arm does as well on data that no fit saw"
-    one = "gyro scale does as well on data that no fit saw"
+    many = "accel bias and gyro scale and lever arm"
+    rivals = f"{many} explains data that was not used for the fit equally well"
+    one = "gyro scale explains data that was not used for the fit equally well"
     assert words.against(replace(made.BIAS, against=(rivals, one, "+- 2")), made.ambiguous()) == [
-        "accelerometer bias, gyroscope scale and lever arm do as well on data that no fit saw",
-        "gyroscope scale does as well on data that no fit saw",
+        "accelerometer bias, gyroscope scale and lever arm explain data that was not used for the "
+        "fit equally well",
+        "gyroscope scale explains data that was not used for the fit equally well",
         "± 2",
     ]
 

@@ -141,5 +141,5 @@ def test_a_known_mount_is_fine_only_where_it_and_the_body_are_certain_enough():
         rotation_from_angles(*np.radians([1.0, -2.0, 30.0]))
     )
     assert known_mount(KnownMount(0.0, 0.0, 0.0, 1.0), TARGETS).state is MountState.USABLE
-    with pytest.raises(EstimateError, match=r"2 deg about z is too vague .* below 1.15"):
+    with pytest.raises(EstimateError, match=r"2 deg about z is too uncertain .* below 1.15"):
         known_mount(KnownMount(0.0, 0.0, 0.0, (0.1, 0.1, 2.0)), TARGETS)

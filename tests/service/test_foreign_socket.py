@@ -76,7 +76,10 @@ def test_an_answer_without_end_is_none(tmp_path):
                     client.sendall(part)
                     time.sleep(pause)
 
-        for part, pause, words in ((bytes(65536), 0.0, "not that"), (b"x", 0.05, "did not answer")):
+        for part, pause, words in (
+            (bytes(65536), 0.0, "not from an"),
+            (b"x", 0.05, "did not answer"),
+        ):
             threading.Thread(target=serve, args=(part, pause), daemon=True).start()
             with pytest.raises(LinkError, match=words):
                 ask(tmp_path / "other.sock", "status", 0.5, is_repeatable=False)
@@ -86,4 +89,4 @@ def test_a_feed_waits_for_the_daemon(path):
     said: list[str] = []
     source = DaemonSource(path, said.append)
     assert source.read(0.01).status is None
-    assert "not that of an imucald daemon" in said[0]
+    assert "not from an imucald daemon" in said[0]

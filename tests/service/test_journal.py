@@ -140,7 +140,7 @@ def test_an_interface_that_comes_and_goes_for_hours_writes_few_lines_and_its_las
             announcements.link_event(LinkEvent(str(state), f"can0 is {state}, flap {second}"))
         announcements.update(engine, 0, now[0])
     assert 20 < len(lines()) < hours * 3600 / 30 + 25
-    assert "such lines left out before" in lines()[-1]
+    assert "such lines omitted before" in lines()[-1]
     now[0] += 31.0
     announcements.update(engine, 0, now[0])
     assert f"can0 is up, flap {hours * 3600 - 1} (" in lines()[-1]

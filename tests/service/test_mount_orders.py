@@ -149,7 +149,7 @@ def test_orders_that_cannot_be_carried_out_say_why_and_change_nothing(bench):
         service.orders.hold(ME)
     with pytest.raises(OrderError, match="not held"):
         service.orders.release(ME)
-    with pytest.raises(OrderError, match="a standard deviation of 20 deg about x is too vague"):
+    with pytest.raises(OrderError, match="a standard deviation of 20 deg about x is too uncertain"):
         service.orders.set_mount(KnownMount(0.0, 0.0, 0.0, 20.0), ME)
     assert service.engine.pipeline.estimator is estimator
     bench.drive(service)
@@ -250,7 +250,7 @@ def test_a_configured_mount_that_is_too_vague_is_refused_with_its_line(bench, ca
     run = ["run", "--config", str(bench.config), "--interface", "virtual", "--seconds", "0.01"]
     assert cli.main(run) == 78
     text = capsys.readouterr().err
-    assert "calibration.mount.std_deg: 9 deg about x is too vague" in text
+    assert "calibration.mount.std_deg: 9 deg about x is too uncertain" in text
     assert "shuttle.yaml:" in text
 
 

@@ -162,7 +162,7 @@ def test_a_stop_before_the_disk_took_it_says_that_the_next_start_brings_it_back(
     kept.keeper.forget()
     kept.keeper.close(_Waiting(), 1.0)
     assert "the next start restores this state" in " ".join(kept.said)
-    assert "the state before it is still saved" not in " ".join(kept.said)
+    assert "the previous state is still saved" not in " ".join(kept.said)
 
 
 def learnt(bench: Bench) -> Service:

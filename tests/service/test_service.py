@@ -372,7 +372,7 @@ def test_log_lines_of_one_kind_are_reported_seldom_with_their_number():
     journal.seldom("flood", "a flood")
     assert log.getvalue().splitlines() == [
         "imucald: a flood in lines",
-        "imucald: a flood (999 such lines left out before)",
+        "imucald: a flood (999 such lines omitted before)",
     ]
 
 

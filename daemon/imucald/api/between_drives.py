@@ -18,8 +18,8 @@ from imucald.mount.mount_words import is_move
 
 CLOCK_SET_US = round(1e6 * CLOCK_SET_S)
 LIKELY = 1e-3
-"""Two mounts are reported as different if their difference occurs by chance with a smaller
-probability than this."""
+"""Two mounts are reported as different if the probability that chance causes their difference is
+below this value."""
 
 
 def notes_between(drives: Sequence[DriveResult]) -> tuple[str, ...]:

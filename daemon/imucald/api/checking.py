@@ -1,4 +1,5 @@
-"""`imucald.check`: show what a configuration decodes from a log, and report what looks wrong."""
+"""`imucald.check`: report the signals that a configuration decodes from a log, and everything that
+looks wrong."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from imucald.config_check import Check
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckReport:
-    """The result of a check: what was decoded, and what looks wrong.
+    """The result of a check: the decoded signals, and findings about errors.
 
     usable: False if something necessary is missing or wrong. findings: the worst first, each with
     `level` (error, warning, note, ok), `quantity` and `text`. problems: the first bad lines, as

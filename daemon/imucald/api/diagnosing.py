@@ -117,7 +117,7 @@ def diagnose(
 ) -> DiagnosisResult:
     """Compare the simulation with measured drives of one vehicle and report errors of the model.
 
-    The result is the same as that of `imucald diagnose`.
+    The result is the same as the result of `imucald diagnose`.
 
     config: a configuration, or the name of its file. logs: one log per drive; the sensor must be
     mounted as in the vehicle. model: the model file to test. Without a model file, a default car is

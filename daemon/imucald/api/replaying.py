@@ -70,8 +70,8 @@ def replay(
 
     log: a file's name, or a file that is open for reading bytes (candump text, plain or gzip). One
     log is one drive, and the result is a DriveResult. In a list, each log is one drive that is
-    replayed separately, and the result is a DriveSet. With `joined`, the list holds the pieces of
-    one recording in their order, and the result is a DriveResult.
+    replayed separately, and the result is a DriveSet. With `joined`, the list contains the pieces
+    of one recording in their order, and the result is a DriveResult.
 
     signals: whether corrected and raw samples are kept (about 100 bytes per sensor sample). If
     False, the result has only mount, history and events. progress: called with the bytes read and

@@ -17,8 +17,8 @@ WINDOW_PERIODS = 4.0
 length, half the new rate. Above this frequency, the spectrum is below -31 dB (Harris, Proc. IEEE
 66, 1978)."""
 HOLE_PERIODS = 2.5
-"""Two samples have a hole between them if the time between them is at least this, in usual periods.
-The value corresponds to two lost samples minus some jitter."""
+"""Smallest time between two samples that counts as a hole, in usual periods. The value corresponds
+to two lost samples minus some jitter."""
 MAX_ROWS = 50_000_000
 """Largest number of rows. A request for more rows shows that the stated rate is a mistake."""
 SKIPPED = ("t_s", "time", "quality")

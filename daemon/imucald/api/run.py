@@ -56,7 +56,7 @@ def is_unused(drive: DriveResult) -> bool:
 
 
 def require_frames(drive: DriveResult) -> DriveResult:
-    """Return the drive. Raises NoFramesError if its logs hold no frame."""
+    """Return the drive. Raises NoFramesError if the logs of the drive contain no frame."""
     refuse_empty(drive.frames["read"], drive.logs)
     return drive
 

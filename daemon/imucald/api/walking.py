@@ -75,10 +75,10 @@ def walk(
 ) -> WalkResult:
     """Find the direction of travel of a carried terminal, step by step.
 
-    The result is the same as that of `imucald walk`. config: a configuration, or the name of its
-    file. log: a file's name, an open file, or a list of the pieces of one recording. strict: the
-    first bad line raises LogError. Raises ConfigError for a configuration without a compass. Raises
-    LogError for a log that cannot be read or contains no CAN frame.
+    The result is the same as the result of `imucald walk`. config: a configuration, or the name of
+    its file. log: a file's name, an open file, or a list of the pieces of one recording. strict:
+    the first bad line raises LogError. Raises ConfigError for a configuration without a compass.
+    Raises LogError for a log that cannot be read or contains no CAN frame.
     """
     loaded = Configuration.of(config).loaded
     _need_compass(loaded)

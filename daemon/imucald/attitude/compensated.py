@@ -69,7 +69,8 @@ class CompensatedAttitude:
         return CheckResult(vehicle_from_rfu(*self.motion_compensation.zero_error), (0.0, 0.0, 0.0))
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take the result of an earlier check, in vehicle axes. The next rest replaces it."""
+        """Take the result of an earlier check, in vehicle axes. The next rest replaces this
+        result."""
         self.motion_compensation.zero_error = rfu_from_vehicle(*found.rate)
         self.checked = True
 

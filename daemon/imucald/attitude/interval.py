@@ -4,9 +4,10 @@ The gyroscope's matrix C transforms all vectors into the frame P. Consider the m
 the specific force minus a_fwd and omega x v. This mean equals the mean force minus the change of
 the velocity *vector*:
     mean(C (f - a_fwd y - omega x v y)) = mean(C f) - (C_1 y v_1 - C_0 y v_0) / (t1 - t0),
-The reason is d(C y v)/dt = C (y dv/dt + omega x y v), with y the direction of motion. Differences
-are taken of the speed only. A slow or late speed is combined with the force at the same time. A
-lever arm l adds C (omega x l) to the velocity. The remaining force is gravity in P, plus error.
+The reason is d(C y v)/dt = C (y dv/dt + omega x y v), with y the direction of motion. The speed is
+the only signal that is differentiated. A slow or late speed is combined with the force at the same
+time. A lever arm l adds C (omega x l) to the velocity. The remaining force is gravity in P, plus
+error.
 """
 
 from __future__ import annotations

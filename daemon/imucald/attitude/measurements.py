@@ -33,9 +33,9 @@ def tilt(
     gravity: specific force without motion over the interval, rotated by the propagated matrix to
     east, north, up [m/s^2]. With a correct matrix, this vector points up. The differences are
     rotations about the level axes right and forward of the vehicle, which avoids a singularity. For
-    small errors, they equal the differences of the angles. C: present C_nav_from_body. accel_error:
-    accelerometer error in body axes [m/s^2]. lag: age of the middle of the interval [s]; the
-    gyroscope's error has rotated the matrix since then.
+    small errors, these rotations equal the differences of the angles. C: present C_nav_from_body.
+    accel_error: accelerometer error in body axes [m/s^2]. lag: age of the middle of the interval
+    [s]; the gyroscope's error has rotated the matrix since then.
     """
     d = times(C, accel_error)
     east, north, up = gravity[0] - d[0], gravity[1] - d[1], gravity[2] - d[2]

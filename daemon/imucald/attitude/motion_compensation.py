@@ -16,8 +16,8 @@ The angle computed from f_x - s is atan2(f_x - s, f_z) = delta + S. The error S 
 delta is not known yet, so the previous angle is used: J_n = phi_n - S(phi_{n-1}) for the pitch, and
 K_n in the same way for the roll.
 - Pitch: s = a = a_fwd. A speed from wheels is along the road, so only the body's pitch relative to
-the road is a deflection. The road's part (the slow mean of the angle) is not. A speed from
-satellites is horizontal, so the whole angle is a deflection.
+the road is a deflection. The slope of the road (the slow mean of the angle) is not a deflection. A
+speed from satellites is horizontal, so the whole angle is a deflection.
 - Roll: s = omega_up v, measured in the body, and a = s / cos(delta). With the full omega x v, both
 components of a are already along the deflected axes, and S is zero.
 
@@ -127,8 +127,8 @@ class MotionCompensation:
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
         self.angles = (0.0, 0.0)
-        """Pitch and roll of the previous instant [rad]. A caller with better angles may set
-        them."""
+        """Pitch and roll of the previous instant [rad]. A caller with better angles may set these
+        angles."""
         self._road = (0.0, 0.0)
 
     def speed(self, t: float, speed: float) -> None:

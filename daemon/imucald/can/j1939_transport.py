@@ -1,7 +1,7 @@
 """The transport protocol of J1939 (SAE J1939-21): find messages that are sent in several frames.
 
-A separate frame announces such a message (TP.CM: BAM to all units, RTS to one unit). Such a frame
-holds the PGN and the length of the message.
+A separate frame announces such a message (TP.CM: BAM to all units, RTS to one unit). The announcing
+frame contains the PGN and the length of the message.
 """
 
 from __future__ import annotations

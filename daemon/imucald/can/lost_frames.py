@@ -1,7 +1,7 @@
 """Estimate the share of lost frames of a cyclic message from the times of the received frames.
 
-This also works with coarse time stamps. `diagnosis.direct.stamps` finds which frames are missing
-and the error of the sender's clock, but only if the time stamps follow a cycle.
+The estimate also works with coarse time stamps. `diagnosis.direct.stamps` finds which frames are
+missing and the error of the sender's clock, but only if the time stamps follow a cycle.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from imucald.can.dbc.message import Message
 
 REGULAR, REGULAR_SHARE = 0.25, 0.6
 """A message is cyclic if the share REGULAR_SHARE of its intervals differs from its cycle by at most
-REGULAR cycles. With a difference of 0.5 cycles, one and two cycles could not be distinguished.
-REGULAR is half of this."""
+REGULAR cycles. With a difference of 0.5 cycles, one and two cycles could not be distinguished, so
+REGULAR is half of 0.5."""
 MOST_CYCLES, MOST_S = 20, 2.0
 """If an interval is longer than both limits (cycles, seconds), the sender was off, and no frames
 count as lost. A recorder that is too slow leaves gaps of some tenths of a second."""
@@ -35,8 +35,8 @@ DROPPING_SHARE = 0.02
 def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -> float | None:
     """Return the share of lost frames; intervals: (N,) between the received frames [s].
 
-    message: its description, if a database has one. Returns None for a message that is not cyclic.
-    Also returns None for a message with a multiplexer, since each group has its own cycle.
+    message: its description, if a database has one. Returns None for a message that is not cyclic,
+    and for a message with a multiplexer, because each group has its own cycle.
     """
     if message is not None and message.is_multiplexed:
         return None

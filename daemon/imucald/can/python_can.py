@@ -1,7 +1,7 @@
 """Import python-can without its MF4 reader.
 
-If asammdf is installed (extra ``mf4``), ``import can`` imports it together with pandas. This costs
-48 MiB and 0.2 to 1.8 s, more than a whole daemon. Use `with_mf4` to read MF4.
+If asammdf is installed (extra ``mf4``), ``import can`` imports it together with pandas. The import
+of both takes 48 MiB and 0.2 to 1.8 s, more than a whole daemon. Use `with_mf4` to read MF4.
 """
 
 from __future__ import annotations

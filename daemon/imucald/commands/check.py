@@ -1,4 +1,4 @@
-"""`imucald check`: show what a configuration decodes from a log or a live bus."""
+"""`imucald check`: show the signals that a configuration decodes from a log or a live bus."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """`imucald demo --live`: a simulated bus, the real daemon and its monitor, with one command.
 
-The daemon is that of `imucald run`, in its own thread. The monitor reads the daemon's status
-socket, as for any other daemon. python-can's virtual bus needs no installation. Before the start,
-`imucald simulate` writes the drive to a log in a separate process. The log is read while it is
-played. Therefore the memory for the simulation is free again when the daemon starts.
+The daemon is the same as in `imucald run`, but runs in a thread. The monitor reads the daemon's
+status socket, as for any other daemon. python-can's virtual bus needs no installation. Before the
+start, `imucald simulate` writes the drive to a log in a separate process. The log is read while it
+is played. Therefore the memory for the simulation is free again when the daemon starts.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class SimulatedBus:
         self._thread.start()
 
     def is_over(self) -> bool:
-        """True if the last frame was sent. On a busy machine, this takes longer than the drive."""
+        """True if the last frame was sent. On a busy machine, sending takes longer than the
+        drive."""
         return not self._thread.is_alive()
 
     def close(self) -> None:

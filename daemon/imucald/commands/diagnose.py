@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Several logs must be drives of one vehicle, with the sensor at the same place. Some "
         "whole drives are then excluded from the fit and used to test it. Exit status: 0 "
-        "whatever the verdict, 1 nothing could be diagnosed."
+        "there is a verdict (of any kind), 1 no diagnosis was possible."
     )
     parser.add_argument(
         "logs",
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="model file to test (default: a plain car, with the values of the configuration and "
-        "the mount that the drives show)",
+        "the mount found in the drives)",
     )
     parser.add_argument(
         "--json", metavar="FILE", help="write the diagnosis as JSON ('-': standard output)"

@@ -63,7 +63,9 @@ def print_diagnosis(diagnosis: Diagnosis, has_file: bool = True) -> None:
         _print_cause(console, cause, diagnosis)
     for other in words.other_suspects(diagnosis):
         console.print()
-        console.print(f"ambiguous: {other.title}. {other.text} Not written into the file.")
+        console.print(
+            f"ambiguous: {other.title}. {other.text} This cause is not written into the file."
+        )
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
@@ -92,7 +94,7 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
     table.add_column("parameter", overflow="fold")
     table.add_column("value ± 95 %", justify="right")
     table.add_column("model file", justify="right")
-    table.add_column("by the file's key", overflow="fold")
+    table.add_column("key and value in the model file", overflow="fold")
     for row in card.rows:
         in_file = f"{row.key}: {row.in_file}" if row.key else ""
         table.add_row(f"  {row.title}", row.value, row.stated, in_file)
@@ -113,7 +115,7 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     for group_titles, group in words.look_alike_groups(diagnosis).items():
         console.print(f"cannot be distinguished: {words.in_series(group_titles, 'or')}")
         if ways := words.ways_apart(group):
-            console.print("a drive that would separate them:")
+            console.print("a drive that would distinguish these causes:")
         for way in ways:
             console.print(f"  {way}")
     if not diagnosis.structure:
@@ -155,7 +157,7 @@ def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
         console.print(table)
     rest = len(diagnosis.candidates) - min(len(rows), SHOWN_CANDIDATES)
     if rest > 0:
-        console.print(f"{rest} more were not named; report and JSON have them")
+        console.print(f"{rest} more causes were not named; report and JSON list them")
 
 
 def _table() -> Table:

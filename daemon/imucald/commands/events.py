@@ -23,9 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = (
         "The daemon keeps the last 200 events since its start: changes of state, alarms, "
-        "orders with who gave them, reloads, errors of the bus. The journal has all events, "
-        "earlier runs too: journalctl -u imucald@can0. Exit status: 0 done, 3 no daemon "
-        "runs, 8 the daemon does not answer."
+        "orders and their users, reloads, errors of the bus. The system's journal contains all "
+        "events, also from earlier runs: journalctl -u imucald@can0. Exit status: 0 done, 3 no "
+        "daemon runs, 8 the daemon does not answer."
     )
 
 

@@ -14,7 +14,7 @@ from imucald.core.libraries import how_to_install
 LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {
     "run": "evaluate the logs that were not evaluated yet",
-    "retry": "evaluate the new logs and those that failed before",
+    "retry": "evaluate the new logs and the failed logs",
     "status": "show the progress of the runs and the failed logs",
     "why": "show everything that is known about one log",
     "analyse": "analyse all drives together: vehicles, types, batches, remounts, outliers",
@@ -65,7 +65,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--logs",
         metavar="GLOB|LIST",
-        help="logs to evaluate, in place of those in fleet.yaml",
+        help="logs to evaluate, instead of the logs in fleet.yaml",
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -95,9 +95,9 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
                                                                 "for each log)")  # fmt: skip
     parser.add_argument("--since", metavar="DATE", help="only logs of this day or later")
     parser.add_argument("--redo", choices=("nothing", "failed", "config", "all"),
-                        default="nothing", help="which logs to evaluate again: those that "
-                                                "failed, those that were evaluated with another "
-                                                "configuration or version, or all")  # fmt: skip
+                        default="nothing", help="which logs to evaluate again: failed logs, "
+                                                "logs evaluated with another config"
+                                                "uration or version, or all logs")  # fmt: skip
     parser.add_argument("--limit", type=int, metavar="N", help="evaluate N logs at most")
     parser.add_argument(
         "--dry-run", action="store_true", help="only show which logs would be evaluated"

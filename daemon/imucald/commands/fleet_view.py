@@ -84,7 +84,7 @@ def _list(
 
 def _turn(row: dict[str, Any]) -> str:
     if row["d_x_deg"] is None:
-        return "by how much is not known"
+        return "size of the move not known"
     x, y, z = (row[f"d_{axis}_deg"] for axis in "xyz")
     q = "" if row["q"] is None else f" ({_q(row['q'])})"
     return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg{q}"

@@ -62,7 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=LISTEN_S,
         metavar="S",
         help=f"how long to listen on the bus (default: {LISTEN_S:g}, enough for a stop, a start "
-        "and some bends; 600 gives surer units and signs). It does not limit a LOG",
+        "and some bends; with 600, units and signs are more certain). The option does not limit "
+        "a LOG",
     )
 
 
@@ -153,8 +154,7 @@ def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
     accelerometer = proposal.choice("accelerometer")
     if accelerometer is None:
         return found + (
-            "no accelerometer was found, and nothing works without one: write it into the "
-            "file by hand"
+            "no accelerometer was found, but imucald needs one: write it into the file by hand"
         )
     doubt = f"the accelerometer is unsure ({accelerometer.doubt})\n" if accelerometer.doubt else ""
     arguments = ["--config", options.out, *options.logs]

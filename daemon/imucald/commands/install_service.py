@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the files. Print what was written and the next steps."""
+    """Write the files. Print the written files and the next steps."""
     from importlib import resources
 
     command = options.exec or f"{sys.executable} -m imucald"

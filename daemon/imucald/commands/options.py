@@ -47,7 +47,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=Path,
         metavar="FILE",
-        help="database to use instead of that in the configuration (repeat for several)",
+        help="database that replaces the database of the configuration (repeat for several)",
     )
 
 

@@ -14,9 +14,9 @@ from typing import Any
 from imucald.core.errors import ImucaldError, LinkError
 
 WHO = (
-    "Orders are accepted from root and from the user that the daemon runs as. Log and events "
-    "show each order and who gave it. Exit status: 0 done, 1 refused (the text says why), 3 "
-    "no daemon runs, 8 the daemon does not answer."
+    "Orders are accepted from root and from the user of the daemon. Log and events "
+    "show each order and the user who gave the order. Exit status: 0 done, 1 refused "
+    "(the text says why), 3 no daemon runs, 8 the daemon does not answer."
 )
 NOT_RUNNING = 3
 """Exit status if no daemon runs. `systemctl is-active` and the command `status` of init scripts use
@@ -29,7 +29,7 @@ def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
 
     add_socket_argument(
         parser,
-        "status socket of the daemon; the order goes to the control socket that stands next to it",
+        "status socket of the daemon; the control socket in the same folder receives the order",
     )
     parser.add_argument("--all", action="store_true", help="every daemon that runs here")
     parser.epilog = WHO + more
@@ -80,7 +80,7 @@ def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> i
         return NOT_RUNNING
     except ValueError:
         raise ImucaldError(
-            f"{path}: the answer is not that of an imucald daemon; name the status socket of "
+            f"{path}: the answer is not from an imucald daemon; name the status socket of "
             "the daemon (--socket PATH)"
         ) from None
     name = f"{status_socket.parent.name}: " if is_named else ""

@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Several logs are several drives, each replayed on its own. Logs that overlap in time and "
         "mounts that differ from drive to drive are reported. With --joined the logs are pieces of "
-        "one recording. A frame that is in two pieces counts twice, and this is reported. "
-        "Exit status: 0 done (whatever the state reached), 1 a log could not be read or has no "
+        "one recording. A frame that is in two pieces counts twice, and such frames are reported. "
+        "Exit status: 0 done (with any state of the mount), 1 a log could not be read or has no "
         "frame that can be used.\n\n"
         "  imucald replay --config car.yaml drive.log\n"
         "  imucald replay --config car.yaml drive.log --report page --write drive.csv\n"
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAMES",
         help=(
             "with --write: names of the tables, such as accel,gyro,raw/speed. 'raw' means all "
-            "samples as they came (default: all tables but 'raw')"
+            "samples as the sensors sent them (default: all tables except 'raw')"
         ),
     )
     parser.add_argument(

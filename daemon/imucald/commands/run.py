@@ -17,8 +17,8 @@ WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h). This exit status tells systemd not to start the daemon
 again."""
 LOG_LEVELS = ("error", "warning", "notice", "info")
-"""Names of the log levels in `service.journal`. They are repeated here, because that module is
-loaded later."""
+"""Names of the log levels in `service.journal`. The names are repeated here, because
+`service.journal` is loaded later."""
 NO_SOCKET = (
     "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
     "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for all "
@@ -47,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--state-dir",
         type=Path,
         metavar="DIR",
-        help="folder that keeps the calibration over restarts (default: systemd's "
-        "$STATE_DIRECTORY)",
+        help="folder in which the calibration is saved (default: systemd's $STATE_DIRECTORY)",
     )
     parser.add_argument(
         "--save-every",
@@ -80,9 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="log lines of this level and above (default: info, which is all lines). 'imucald "
         "events' always shows all lines",
     )
-    parser.add_argument(
-        "-q", "--quiet", action="store_true", help="the same as --log-level warning"
-    )
+    parser.add_argument("-q", "--quiet", action="store_true", help="log only warnings and errors")
 
 
 def run(options: argparse.Namespace) -> int:

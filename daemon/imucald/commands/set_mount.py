@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `set-mount`."""
     add_target(
         parser,
-        " Angles are those of the sensor in the vehicle, as 'imucald status' shows them. The state "
+        " The angles are the mount angles that 'imucald status' shows. The state "
         "is 'restored' until the drive confirms the mount. "
         "Example:\n\n  imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
     )
@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help=("uncertainty of the mount as one standard deviation, half of --within"),
     )
-    parser.add_argument("--hold", action="store_true", help="keep this mount and learn nothing")
+    parser.add_argument(
+        "--hold", action="store_true", help="hold this mount: the daemon does not change it"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

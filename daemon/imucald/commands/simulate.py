@@ -105,7 +105,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate; write log, truth and (if requested) the model; print what was written."""
+    """Simulate a drive. Write log, truth and (if requested) the model file, and print the names of
+    the written files."""
     from imucald.commands.files import check_files, write_yaml
     from imucald.commands.schema import MODEL
     from imucald.config import load_config

@@ -209,7 +209,7 @@ def _not_understood(link: Mapping[str, Any]) -> str:
 
 def _troubles(status: Mapping[str, Any]) -> list[str]:
     """Return texts about problems of mount and signals. If there is no such text and the mount is
-    suspect, a text states this."""
+    suspect, the result is a text about the state."""
     found = [text for _, text in reasons(status["waiting_for"]) if is_trouble(text)]
     restored = status["details"].get("restored", {})
     if not found and restored.get("phase") == "doubted":
@@ -227,7 +227,7 @@ def _sensors(status: Mapping[str, Any]) -> Text:
     health = status["signal_health"]
     absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
     if is_starting(status):
-        return Text("nothing has come yet")
+        return Text("no samples received yet")
     faulty = absent + [
         f"{channel} {fault}" + (f" ({', '.join(axes)})" if axes else "")
         for channel, faults in health["sensors"].items()

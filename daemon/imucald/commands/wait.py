@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_quiet(parser, "print no lines")
     parser.epilog = (
-        "If no daemon runs yet, it waits for one. Exit status: 0 the quality is reached. After "
-        "the timeout it is the exit status of 'imucald status': 4 usable (not fine yet), 5 not "
+        "If no daemon runs yet, the command waits for one. Exit status: 0 the quality is reached. "
+        "After the timeout, the exit status of 'imucald status': 4 usable (not fine yet), 5 not "
         "yet, 6 suspect, 7 a fault, 3 no daemon runs, 8 the daemon does not answer."
     )
 

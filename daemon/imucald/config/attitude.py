@@ -34,7 +34,7 @@ class MotionCompensationSettings(Settings, frozen=True):
     """Shortest time between the two speed averages whose difference gives the acceleration [s]. A
     longer time smooths a speed with coarse resolution."""
     timeout: Annotated[float, Meta(gt=0, le=4.0)] = 3.0
-    """A speed older than this is not used [s]. OBD-II gives one speed per second."""
+    """Largest age of a speed that is used [s]. OBD-II gives one speed per second."""
     delay: SpeedDelay | None = None
     """Delay of the speed relative to the accelerometer [s]; default: calibration.speed_delay, or
     0."""
@@ -136,7 +136,7 @@ class AttitudeSettings(Settings, frozen=True):
     """Attitude of the vehicle, computed from corrected samples (methods B and C)."""
 
     enabled: bool = False
-    """True: the attitude is computed and sent. This needs a gyroscope."""
+    """True: the attitude is computed and sent. The attitude requires a gyroscope."""
     method: Literal["filter", "compensation"] = "filter"
     """"filter" is methods B and C together. "compensation" is method B alone: roll and pitch from
     each sample, without a filter."""
@@ -177,7 +177,7 @@ class ChoiceSettings(Settings, frozen=True):
     tilt_on_turn_deg: NotNegative = 5.0
     """During a turn the tilt heading is used if pitch or roll exceeds this angle."""
     differ_deg: NotNegative = 30.0
-    """The two headings contradict each other if they differ by more than this."""
+    """The two headings contradict each other if their difference exceeds this angle."""
     tilt_deg: NotNegative = 5.0
     """If the person does not turn and the headings do not contradict each other, the tilt heading
     is used if pitch or roll exceeds this angle."""
@@ -213,7 +213,8 @@ class TravelDirectionSettings(Settings, frozen=True):
     """Direction of travel of a carried terminal (method D), from samples in terminal axes."""
 
     enabled: bool = False
-    """True: the direction is computed and sent. This needs a magnetometer or a heading."""
+    """True: the direction is computed and sent. The direction requires a magnetometer or a
+    heading."""
     method: Literal["alternative", "published"] = "alternative"
     """Method whose heading is sent. Without a gyroscope, the published method is always used."""
     convention: AxisConvention = "force"

@@ -79,7 +79,7 @@ class StraightMotionSettings(Settings, frozen=True):
     consistency_window: Annotated[int, Meta(ge=2, le=1000)] = 15
     """Number of successive angles that must agree. There are ten angles per second."""
     consistency_range_deg: Positive = 25.0
-    """The successive angles agree if their range is at most this."""
+    """The successive angles agree if their range is at most this angle."""
     consistency_mean: Positive = 1.0
     """Time over which each angle is averaged [s]. Without averaging, road noise is as large as
     braking."""

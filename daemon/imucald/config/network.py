@@ -134,7 +134,7 @@ class Uds(Settings, frozen=True):
     """Server of ISO 14229 (UDS) over ISO-TP."""
 
     enabled: bool = False
-    """True: requests are answered. This needs the extra `diagnostics`."""
+    """True: requests are answered. Diagnostics require the extra `diagnostics`."""
     request_id: CanId = 0x7B0
     """Identifier of requests to imucald."""
     response_id: CanId = 0x7B8

@@ -64,8 +64,8 @@ class Config(Settings, frozen=True, kw_only=True):
     def uses_method_a(self) -> bool:
         """True if method A alone finds the mount.
 
-        This is the case if it is configured, or if there is neither a speed nor a turn rate.
-        Without both, the joint estimator cannot distinguish forward from backward.
+        The result is True if method A is configured, or if there is neither a speed nor a turn
+        rate. Without both, the joint estimator cannot distinguish forward from backward.
         """
         signals = self.signals
         has_speed = signals.speed is not None or signals.wheel_speeds is not None

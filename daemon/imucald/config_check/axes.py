@@ -36,10 +36,10 @@ AXIS_DEG = 20.0
 gyroscope shows in turns [deg]. Body roll and cross-axis errors cause a few degrees."""
 HANDED = 0.7
 """The handedness of the axes is clear if the size of the triple product of the unit vectors
-forward, left and up is above this."""
+forward, left and up is above this value."""
 NO_SPEED = 5.0
-"""A gain above this cannot come from a wrong unit of speed: the largest ratio of two units is
-3.6."""
+"""A gain above this value cannot be caused by a wrong unit of speed, because the largest ratio of
+two units is 3.6."""
 LEAST_ACROSS = 0.4
 """The direction left is found only if the accelerometer shows at least this share of the
 centripetal acceleration."""

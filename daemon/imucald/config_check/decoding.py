@@ -314,14 +314,14 @@ class Decoding:
         """Report missing signals and their consequences."""
         config = self.loaded.config
         if not self._has("accel"):
-            text = "no sample came, and nothing can be calibrated without it"
+            text = "no sample was received; imucald needs an accelerometer"
             yield Finding("error", "accelerometer", text)
         if not self._has("speed"):
             yield Finding("warning", "speed", _NO_SPEED + self._direction_without_speed())
         if not self._has("gyro"):
             yield self._without_gyro()
         elif not self._has("yaw_rate"):
-            yield Finding("note", "yaw_rate", "missing: turns are taken from the gyroscope")
+            yield Finding("note", "yaw_rate", "missing: the gyroscope is used for turns")
         if self._has("speed") and not self._has("reverse") and not self.is_reverse_derived:
             yield Finding("note", "reverse", _NO_REVERSE)
         if config.vehicle.driving_side == "unknown" and config.signals.accelerometer[0].z:
@@ -329,17 +329,17 @@ class Decoding:
 
     def _direction_without_speed(self) -> str:
         if not self.loaded.config.uses_method_a:
-            return "turns separate forward from backward"
+            return "turns distinguish forward from backward"
         if self._has("brake"):
-            return "the brake switch separates forward from backward"
+            return "the brake switch distinguishes forward from backward"
         if self._has("yaw_rate") or self._has("gyro"):
-            return "turns and the first motion after a stop separate forward from backward"
-        return "only the first motion after a stop separates forward from backward"
+            return "turns and the first motion after a stop distinguish forward from backward"
+        return "only the first motion after a stop distinguishes forward from backward"
 
     def _without_gyro(self) -> Finding:
         for channel in ("yaw_rate", "steering"):
             if self._has(channel):
-                text = f"missing: turns are taken from {configured_name(channel)}; {_NO_GYRO}"
+                text = f"missing: {configured_name(channel)} is used for turns; {_NO_GYRO}"
                 return Finding("note", "gyroscope", text)
         missing = f"missing, and {_NO_TURNS}: "
         if self.loaded.config.uses_method_a:

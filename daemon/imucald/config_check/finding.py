@@ -23,6 +23,7 @@ gains of 0.8 to 1.2. A confusion of miles and kilometres multiplies the gain by 
 TURN_SIGN = "set 'sign: -1', or remove 'sign: -1' if it is set"
 """Text with the remedy for a wrong sign. If `sign: -1` is configured, this setting is the
 mistake."""
+HEADING_SIGN = f"a heading must increase in right turns; {TURN_SIGN}"
 
 _FACTORS = (
     (DEG_PER_RAD, "deg against rad"),

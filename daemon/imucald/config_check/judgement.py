@@ -57,8 +57,8 @@ GYRO_REST = math.radians(5.0)
 REVERSE_SPEED = 7.0
 """Largest speed in reverse for a longer time [m/s]."""
 REVERSE_SHARE = 0.1
-"""Largest plausible share of the time above `REVERSE_SPEED` in which the reverse signal is on. It
-is on for a moment when the lever passes reverse."""
+"""Largest plausible share of the time above `REVERSE_SPEED` in which the reverse signal is on. The
+signal is on for a moment when the lever passes reverse."""
 WHEELS_DIFFER = 0.1
 """Largest plausible relative difference between the speed and the wheel speeds. Worn and wrong
 tyres cause 5 %; displayed speeds are up to 10 % too high (UN R39)."""
@@ -277,8 +277,8 @@ def _is_driven_both_ways(motion: Motion) -> bool:
 
 
 def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
-    """Compare the speed with the wheel speeds. They agree within a few per cent unless a unit is
-    wrong."""
+    """Compare the speed with the wheel speeds. Speed and wheel speeds agree within a few per cent
+    unless a unit is wrong."""
     if motion.speed is None or "wheel_speeds" not in motion.grid:
         return
     wheels = np.abs(smooth(motion.grid["wheel_speeds"])).mean(axis=1)
@@ -313,7 +313,7 @@ def _not_checked(
     if turning == ["gyroscope"] and stated == NOT_STATED and "heading" not in motion.grid:
         left.append(f"{NOT_CHECKED}; the mount becomes usable, but never fine")
     if motion.speed is None:
-        left.append("everything that needs the speed")
+        left.append("all checks that need the speed")
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
         left.append("the accelerometer against the changes of speed (too few changes)")
     if "gyro" not in motion.grid and not motion.planar:

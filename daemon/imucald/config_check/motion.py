@@ -29,6 +29,8 @@ MIN_STANDING_TICKS = 20
 """Smallest standing time that is used to measure zero errors (after smoothing) [ticks]: two
 seconds."""
 
+HEADING = "heading"
+
 
 class TickMeans:
     """The mean of each channel in each tick (0.1 s), collected from chunks of samples."""
@@ -36,6 +38,8 @@ class TickMeans:
     def __init__(self) -> None:
         self._sums: dict[str, Array] = {}
         self._counts: dict[str, Array] = {}
+        self._heading: float | None = None
+        """The last heading [rad], continued over full turns."""
 
     def add_samples(self, samples: Samples) -> None:
         """Add samples by channel; times are stream times."""
@@ -46,9 +50,18 @@ class TickMeans:
                 continue
             ticks = ticks[inside]
             values = series.values[inside].reshape(len(ticks), -1)
+            if channel == HEADING:
+                values = self._continued(values)
             self._grow(channel, values.shape[1], int(ticks[-1]) + 1)
             np.add.at(self._sums[channel], ticks, values)
             np.add.at(self._counts[channel], ticks, 1.0)
+
+    def _continued(self, heading: Array) -> Array:
+        """Return headings (n, 1) [rad] without jumps by a full turn, also across chunks."""
+        before = heading[:1] if self._heading is None else np.array([[self._heading]])
+        result = np.unwrap(np.concatenate([before, heading]), axis=0)[1:]
+        self._heading = float(result[-1, 0])
+        return np.asarray(result)
 
     def _grow(self, channel: str, width: int, ticks: int) -> None:
         have = self._counts.get(channel, np.zeros(0))
@@ -222,6 +235,8 @@ class Motion:
             found["lateral_acceleration"] = smooth(grid["lateral_accel"]) / fast
         if self.planar and self.accel is not None:
             found["accelerometer.y"] = self.accel[:, 1] / fast
+        if HEADING in grid:  # clockwise, and of a course only noise at a standstill
+            found[HEADING] = np.where(np.isfinite(fast), -change_of(smooth(grid[HEADING])), np.nan)
         return found
 
 
@@ -250,8 +265,8 @@ def shifted(x: Array, ticks: int) -> Array:
     return result
 
 
-def change_of(speed: Array) -> Array:
-    """Return the derivative of a smoothed speed (n,), from differences over the length of the
-    smoothing window."""
+def change_of(x: Array) -> Array:
+    """Return the derivative [1/s] of a smoothed signal (n,), from differences over the length of
+    the smoothing window."""
     half = SMOOTH // 2
-    return (shifted(speed, half) - shifted(speed, -half)) * (TICK_RATE / (2 * half))
+    return (shifted(x, half) - shifted(x, -half)) * (TICK_RATE / (2 * half))

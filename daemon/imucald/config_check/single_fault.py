@@ -1,9 +1,10 @@
 """Find the single wrong sign or the single exchange of axes that explains all contradictions
 between signals.
 
-A signal with a wrong sign contradicts several other signals. It therefore causes several findings,
-and some of them blame correct signals. Therefore each possible single fault is undone in turn, and
-all signals are compared again. If no contradiction is left, this fault explains all of them.
+A signal with a wrong sign contradicts several other signals. Such a signal therefore causes several
+findings, and some of these findings blame correct signals. Therefore each possible single fault is
+undone in turn, and all signals are compared again. If no contradiction is left, this fault explains
+all of them.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config_check.finding import TURN_SIGN, Finding
-from imucald.config_check.motion import Motion
+from imucald.config_check.finding import HEADING_SIGN, TURN_SIGN, Finding
+from imucald.config_check.motion import HEADING, Motion
 from imucald.core.arrays import Array
 from imucald.mount.mirror import AT_REST
 
@@ -71,7 +72,7 @@ def explained(
         named = Finding("error", one.quantity, text)
         return [named, *others], motion.turned(one.channel, one.matrix)
     words = "; or ".join(f"{one.quantity}: {one.text} ({one.remedy})" for one in possible)
-    text = f"they contradict each other. One of these faults explains all of it: {words}"
+    text = f"the signals contradict each other. One of these faults explains this: {words}"
     quantities = tuple(one.quantity for one in possible)
     return [Finding("error", "signals", text, quantities), *others], motion
 
@@ -92,6 +93,8 @@ def _faults(motion: Motion) -> Iterator[SingleFault]:
         if channel in motion.grid:
             remedy = f"left turns must be positive; {TURN_SIGN}"
             yield SingleFault(quantity, "wrong sign", remedy, channel, -np.eye(1))
+    if HEADING in motion.grid:
+        yield SingleFault(HEADING, "wrong sign", HEADING_SIGN, HEADING, -np.eye(1))
     if "wheel_speeds" in motion.grid:
         text = "left and right exchanged"
         yield SingleFault("wheel_speeds", text, "exchange their lines", "wheel_speeds", _OTHER_SIDE)

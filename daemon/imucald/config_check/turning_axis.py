@@ -20,11 +20,11 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
     """Check whether the specific force in bends is proportional to the rate about the vertical or
     to another rate.
 
-    The directions forward and left are not needed. The horizontal force is fitted with dv/dt and
-    with the product v r of speed and rate. The rate r is the rate about the vertical, with the
-    gyroscope axes as configured, with a reversed sign, or with exchanged axes. An alternative is
-    reported if the likelihood ratio of the residuals prefers it (as in `mount.alternatives`) and it
-    explains most of the force.
+    For this check, the directions forward and left need not be known. The horizontal force is
+    fitted with dv/dt and with the product v r of speed and rate. The rate r is the rate about the
+    vertical, with the gyroscope axes as configured, with a reversed sign, or with exchanged axes.
+    An alternative is reported if the likelihood ratio of the residuals prefers it (as in
+    `mount.alternatives`) and it explains most of the force.
     """
     up, gravity = motion.up, motion.gravity
     if up is None or gravity is None or motion.accel is None or "gyro" not in motion.grid:
@@ -53,8 +53,8 @@ def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
     independent = INDEPENDENT * len(table) / BLOCK_TICKS
     if 0.5 * independent * 2.0 * math.log(left[0] / best) > TO_ACCUSE:
         text = (
-            "the force in bends follows its rate about an axis that is not vertical: two "
-            "axes of the gyroscope or of the accelerometer are exchanged"
+            "in bends, the force follows the gyroscope's rate about an axis that is not "
+            "vertical: two axes of the gyroscope or of the accelerometer are exchanged"
         )
         yield Finding("error", "gyroscope", text)
 

@@ -7,7 +7,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imucald.config_check.finding import TURN_SIGN, Finding, gain_guess, is_beyond, spread
+from imucald.config_check.finding import (
+    HEADING_SIGN,
+    TURN_SIGN,
+    Finding,
+    gain_guess,
+    is_beyond,
+    spread,
+)
+from imucald.config_check.motion import HEADING
 from imucald.config_check.relation import relation
 from imucald.core.arrays import Array
 from imucald.mount.contradictions import UNLIKE, WRONG_UNIT
@@ -20,8 +28,8 @@ MIN_TURNING_TO_FOLLOW = 0.04
 rate is at least this [rad/s], as in city driving."""
 OTHER_RATIO = 2.5
 """A larger gain of the steering angle means a wrong unit, even if steering ratio and wheelbase are
-not stated. The steering ratio of a truck is up to 1.3 times that of a car, the wheelbase up to
-twice."""
+not stated. The steering ratio of a truck is up to 1.3 times the steering ratio of a car; the
+wheelbase is up to twice as long."""
 _STEERING = "steering_wheel_angle"
 
 
@@ -37,6 +45,8 @@ def sign_findings(
     reference = next(iter(gains), "")
     for name, rate in rates.items():
         if name in gains or spread(rate) <= MIN_TURNING or not reference:
+            continue
+        if name == HEADING:  # a course may be late by more than a bend takes
             continue
         found = relation(rates[reference], rate)
         if abs(found.correlation) < UNLIKE and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
@@ -77,7 +87,7 @@ def _signs(gains: Mapping[str, float], turned: Mapping[str, bool]) -> Iterator[F
         return
     if not right:
         names = (f"{n} (with 'sign: -1')" if turned.get(n) else n for n in left[1:])
-        text = f"turns the same way as {', '.join(names)}"
+        text = f"has the same sign in turns as {', '.join(names)}"
         yield Finding("ok", left[0], text, tuple(left[1:]))
     elif len(left) == len(right):
         text = f"has the opposite sign of {', '.join(right)} in turns; left turns must be positive"
@@ -95,7 +105,9 @@ def _sign_hint(name: str) -> str:
         return ": left and right may be exchanged"
     if name == "gyroscope":
         return (
-            ": set 'sign: -1' on all three of its axes, or on those of the accelerometer (or "
-            "remove it if it is set)"
+            ": set 'sign: -1' on all three of its axes, or on all three axes of the "
+            "accelerometer (or remove it if it is set)"
         )
+    if name == HEADING:
+        return f": {HEADING_SIGN}"
     return f": left turns must be positive; {TURN_SIGN}"

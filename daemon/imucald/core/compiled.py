@@ -1,5 +1,5 @@
-"""The compiled part: loops in C. It exists if a C compiler was available when the package was
-installed.
+"""The compiled part: loops in C. The compiled part exists if a C compiler was available when the
+package was installed.
 
 Without the compiled part, all functions give bit-identical results, but slowly: frames and samples
 are processed one by one in Python. Tests compare the kernels with the Python version. `setup.py`

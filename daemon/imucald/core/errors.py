@@ -1,8 +1,8 @@
 """All errors that imucald raises on purpose. Each class states when it is raised.
 
 Any other exception that reaches the user is a defect. The texts of `ImucaldError` are written for
-users. They name the place (file, line, key, message) and the remedy. The command line prints them
-without a traceback.
+users. These texts name the place (file, line, key, message) and the remedy. The command line prints
+them without a traceback.
 """
 
 from __future__ import annotations

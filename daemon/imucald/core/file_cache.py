@@ -25,9 +25,7 @@ MAX_TEXT: Final = 32 * 2**20
 MAX_FILES: Final = 64
 """Largest number of databases in the cache. There is one cache file for each path of a database."""
 STALE_S: Final = 600.0
-"""An unfinished file that is older than this is removed [s], because writing a file takes less than
-a second.
-"""
+"""Age at which an unfinished file is removed [s]. Writing a file takes less than a second."""
 _SUFFIX: Final = ".json"
 _UNFINISHED: Final = re.compile(r"[0-9a-f]{8}\.[0-9]+")
 """Name of a file that is being written: its final name, and the process number."""
@@ -145,7 +143,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _stamp() -> str:
-    """Return a text that identifies the version of the code that reads databases and YAML. It
+    """Return a text that identifies the version of the code that reads databases and YAML. The text
     contains size and time of our modules and of their libraries.
     """
     package = Path(__file__).parents[1]

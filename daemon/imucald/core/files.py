@@ -30,8 +30,8 @@ def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
 
     The new file is written to the folder of the old file, forced to the disk, and renamed. The
     folder is forced to the disk too. At every instant, the complete old file or the complete new
-    file exists. Raises OSError if this fails; the old file is then unchanged. mode: permissions of
-    the new file; None means the default for new files.
+    file exists. Raises OSError if a step fails; the old file is then unchanged. mode: permissions
+    of the new file; None means the default for new files.
     """
     unfinished = write_beside(path, data)
     if mode is not None:

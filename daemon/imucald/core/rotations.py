@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 Matrix3 = NDArray[np.float64]
 """(3, 3) float64."""
 UPSIDE_DOWN = -0.5
-"""If the cosine of the tilt is below this, the levelling rotation is computed with a second
+"""If the cosine of the tilt is below this value, the levelling rotation is computed with a second
 formula, which is accurate for a sensor that is nearly upside down."""
 Vector = tuple[float, float, float]
 Rows = tuple[float, float, float, float, float, float, float, float, float]

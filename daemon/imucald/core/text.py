@@ -18,7 +18,8 @@ from collections.abc import Iterable
 from typing import Any, Final, TextIO
 
 _SURROGATES: Final = "\ud800-\udfff"
-"""Characters that represent bytes of a file name that are not UTF-8. They cannot be encoded."""
+"""Characters that represent bytes of a file name that are not UTF-8. These characters cannot be
+encoded."""
 CONTROLS: Final = re.compile(f"[\x00-\x08\x0b\x0c\x0e-\x1f{_SURROGATES}]|\r(?!\n)")
 """Unsafe characters for files and pipes: the characters that JSON always escapes."""
 UNSAFE: Final = re.compile(
@@ -126,9 +127,9 @@ def encodable(text: str) -> str:
 def json_text(content: Any, indent: int | None = None) -> str:
     r"""Return JSON that can be encoded as UTF-8. Raises ValueError for NaN and infinity.
 
-    A lone surrogate is replaced by the letters ``\udcff`` within its string. It is not written as a
-    JSON escape (``"\udcff"``): strict readers refuse such an escape, and other readers cannot print
-    the result.
+    A lone surrogate is replaced by the letters ``\udcff`` within its string. A lone surrogate is
+    not written as a JSON escape (``"\udcff"``), because strict readers refuse such an escape, and
+    other readers cannot print the result.
     """
     text = json.dumps(content, indent=indent, allow_nan=False, ensure_ascii=False)
     return _LONE.sub(lambda found: f"\\\\u{ord(found[0]):04x}", text)

@@ -321,8 +321,8 @@ def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> V
 
 
 def with_delay_rate(changes: Changes, middle_s: float) -> dict[str, float]:
-    """Return the changes with the delay at the start of the drive. In the fit, the delay is that of
-    the middle of the drive."""
+    """Return the changes with the delay at the start of the drive. The fit uses the delay in the
+    middle of the drive."""
     rate = changes.get("speed.delay_rate", 0.0)
     made = dict(changes)
     if rate:

@@ -106,8 +106,8 @@ MOVES = (WANDERS, GOES_WITH_ANOTHER)
 BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
 """Kinds of structure in raw values that arise between sensor and log."""
 HALF = 0.5
-"""Smallest ratio of a written half width (`known_to`) to the tolerance. A drive has one
-temperature, one load and one weather, so its true accuracy is not better."""
+"""Smallest ratio of a written half width (`known_to`) to the tolerance. A drive has only one
+temperature, load and weather, so a smaller half width would be too optimistic."""
 
 
 def diagnose(
@@ -335,8 +335,8 @@ def _silent(share: float, text: str) -> None:
 
 @dataclass
 class _Late:
-    """Callable that returns whether the time limit has passed. It stores whether it ever returned
-    True."""
+    """Callable that returns whether the time limit has passed. The object stores whether it has
+    ever returned True."""
 
     until: float
     was: bool = False

@@ -28,7 +28,8 @@ from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
 BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
-"""Kinds of structure that change no fitted value. Causes from a fit stay named with them."""
+"""Kinds of structure that change no fitted value. If a drive has only such structure, the causes
+that a fit has named stay named."""
 NO_STEP = (GOES_WITH_ANOTHER, FOLLOWS_OTHERWISE, TOO_MUCH)
 """Kinds of structure that a rotated sensor does not cause. A rotation by 10 deg makes zero errors
 and gains seem to wander, because the fit follows a rotation only to first order and to the nearest

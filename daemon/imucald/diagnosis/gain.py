@@ -1,7 +1,7 @@
-"""The gain of the written model file alone, without a further fit. *After* is the residual of these
-drives with the written file. A new comparison with this file gives the same residual. The gain is
-measured on data outside the fit (cross-validation): the found parameters are fitted without one
-fold, and this fold is predicted with these parameters alone.
+"""Improvement of the prediction by the written model file alone, without a further fit. `rms_after`
+is the residual of these drives with the written model file. A new comparison with this file gives
+the same residual. The improvement is measured on data outside the fit (cross-validation): the found
+parameters are fitted without one fold, and this fold is predicted with these parameters alone.
 """
 
 from __future__ import annotations

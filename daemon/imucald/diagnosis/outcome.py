@@ -41,8 +41,8 @@ from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
 MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
-"""Kinds of structure that contradict the model: a cause is missing, whatever the direct evidence
-is."""
+"""Kinds of structure that contradict the model: a cause is missing, with or without direct
+evidence."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
 DEG = 180.0 / math.pi
@@ -162,7 +162,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     rivals = state.rivals.get(trial.hypothesis.name, [])
     if rivals:
         names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
-        texts.append(f"{names} does as well on data that no fit saw")
+        texts.append(f"{names} explains data that was not used for the fit equally well")
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:

@@ -197,7 +197,7 @@ class Structure:
 
 @dataclass(frozen=True)
 class SignalPicture:
-    """Numbers to draw for one signal. Arrays are (N,) on `t` unless stated otherwise."""
+    """Numbers for the pictures of one signal. Arrays are (N,) on `t` unless stated otherwise."""
 
     signal: str
     unit: str

@@ -36,7 +36,8 @@ CHANCE = 0.01
 duplicates."""
 STANDING_MPS = 0.05
 FASTEST_REST_RADPS = np.radians(0.3)
-"""Largest rms of a gyroscope about its mean at rest [rad/s]. An idling engine causes less."""
+"""Largest rms of a gyroscope about its mean at rest [rad/s]. An idling engine causes a smaller
+rms."""
 TRIM_S = 1.5
 """Time that is removed at both ends of a stop [s]. The speed signal is late, and it is zero before
 the vehicle stands (dead band)."""
@@ -173,7 +174,7 @@ def duplicates(series: Series, period: float) -> Mask:
 def _goes_on_from_second(t: Array, period: float) -> Mask:
     """Return flags of the steps (N - 1,) after which the next frame comes one cycle after the
     second of two frames, and not one cycle after the first. In this case, the second frame was
-    early or the sender's clock was set. Neither frame is then a duplicate."""
+    early or the sender's clock was set. In both cases, neither of the two frames is a duplicate."""
     made = np.zeros(len(t) - 1, dtype=bool)
     made[:-1] = np.abs(t[2:] - t[1:-1] - period) < np.abs(t[2:] - t[:-2] - period)
     return made

@@ -16,8 +16,8 @@ COMMON_UNITS = {
     "speed": ("km/h", "m/s", "mph", "kn"),
     "magnetic_field": ("uT", "mG", "Gs"),
 }
-"""Common units, the most frequent first. Another unit is accepted only if the database states
-it."""
+"""Common units, the most frequent first. A unit that is not in this list is accepted only if the
+database states the unit."""
 
 
 USUAL_COUNTS = {

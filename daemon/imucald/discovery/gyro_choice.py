@@ -61,7 +61,11 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
         if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
             counts = in_counts("angular_rate", low, high)
             return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
-        return (unit, "its size does not fit any unit") if fitting is None else (fitting, "")
+        return (
+            (unit, "the size of its values does not fit any unit")
+            if fitting is None
+            else (fitting, "")
+        )
     what = "sign" if unit.is_stated else "unit and sign"
     return unit, f"no speed confirms it in turns, so its {what} may be wrong"
 

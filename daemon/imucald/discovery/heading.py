@@ -32,8 +32,8 @@ two)."""
 
 REVERSED = (
     "this sensor seems to output minus the specific force, so 'sign: -1' is set: without it, "
-    "the sensor turns against the course. Check it at rest: if the axis that points up shows "
-    "+1 g without 'sign: -1', remove 'sign: -1'"
+    "the sensor and the course turn in opposite directions. Check it at rest: if the axis "
+    "that points up shows +1 g without 'sign: -1', remove 'sign: -1'"
 )
 PERHAPS_REVERSED = (
     "{heading} turns counter-clockwise compared with this sensor. If {heading} is a compass "

@@ -39,7 +39,7 @@ def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | No
             by_name[name].doubt = WITH_IT
     # if names do not show the axes, the database may not use the usual signs either
     if likely <= 0.5 or by_places or not any(turned.get(name) for name in SIDED):
-        accelerometer.doubt = f"with the signs as they are, {names} would need 'sign: -1': {REMEDY}"
+        accelerometer.doubt = f"with the present signs, {names} would need 'sign: -1': {REMEDY}"
         return
     accelerometer.doubt = (
         f"'sign: -1' is set on all axes, since {names} would need it otherwise: the sensor "

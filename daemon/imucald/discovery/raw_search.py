@@ -58,7 +58,7 @@ def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choic
     return Choice(
         quantity,
         {},
-        "no database describes it, but these bytes change as this quantity does",
+        "no database describes these bytes, but they change like this quantity",
         why,
         others,
     )
@@ -181,7 +181,7 @@ def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | 
         offers.append((source, f"follows {what} (correlation {found.correlation:+.2f})"))
     return _offer(
         "steering_wheel_angle", offers,
-        "scale and zero are guesses for a passenger car; the value must grow to the left",
+        "scale and zero are guesses for a passenger car; the value must increase in left turns",
     )  # fmt: skip
 
 

@@ -1,9 +1,9 @@
 """The vehicle's motion, as the reference with which signals are compared.
 
-Signals are connected only by physics. The forward acceleration is the change of speed, and the
-acceleration to the left is speed times yaw rate. For a three-axis sensor, gravity gives the
-direction up, and the change of speed gives the direction forward. Up and forward give the direction
-left (axes are assumed to be right-handed).
+The module uses only physical relations between signals. The forward acceleration is the change of
+speed, and the acceleration to the left is speed times yaw rate. For a three-axis sensor, gravity
+gives the direction up, and the change of speed gives the direction forward. Up and forward give the
+direction left (axes are assumed to be right-handed).
 """
 
 from __future__ import annotations

@@ -80,8 +80,8 @@ def find_scalar(
     """Return the signal that follows a reference best, with its unit and sign; None if no signal
     follows it.
 
-    sides: the evidence for left and right; empty if there is no evidence. A quantity without sides
-    gets any other text.
+    sides: the evidence for left and right; empty if there is no evidence. For a quantity without
+    left and right, `sides` is any other text.
     """
     usable = [
         c
@@ -135,11 +135,11 @@ def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
 def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: str) -> str:
     if best.unit is None:
         return (
-            "its size does not fit any unit: the scale in the database is wrong, or the "
-            "signal is something else"
+            "the size of its values does not fit any unit: the scale in the database is wrong, or "
+            "the signal is another quantity"
         )
     if not best.unit.is_sure:
-        return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
+        return f"the database states no unit; {', '.join(best.unit.others)} would also fit"
     if not best.candidate.states(quantity.dimension):
         rivals = [
             m for m in others if m.unit is not None and not is_better(best.relation, m.relation)

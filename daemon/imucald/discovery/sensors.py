@@ -285,7 +285,7 @@ def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
     if not best.unit.is_stated:
         stated = best.members[0].unit
         text += f" in {best.unit.name} (the database says {stated or 'no unit'})"
-    text += "; axes as named" if best.names_axes else f"; {BY_PLACES}"
+    text += "; the axes follow from the names" if best.names_axes else f"; {BY_PLACES}"
     doubt = "" if best.unit.is_sure else f"the unit {', '.join(best.unit.others)} would fit as well"
     alternatives = [
         Alternative(axes_of(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")

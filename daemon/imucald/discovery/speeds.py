@@ -2,7 +2,7 @@
 
 A speedometer may show up to 10 % plus 4 km/h too much (UN Regulation 39). The changes of its speed
 appear in the accelerometer as clearly as the changes of the true speed. Only the wheel speeds show
-the difference.
+which of the speeds is the true speed.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
     """Return the reason why the first of several speeds is not sure; empty if it is sure."""
     best = fits[0]
     if not best.unit.is_sure:
-        return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
+        return f"the database states no unit; {', '.join(best.unit.others)} would also fit"
     if mean is not None:
         apart = apart_from(best, mean)
         if apart > ONE_UNIT:

@@ -21,7 +21,7 @@ from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import is_unit
 
 LEAST_COUNTS = 50.0
-"""Smallest number of counts for 1 g. Every sensor has more counts."""
+"""Smallest number of counts for 1 g. Every sensor has more counts for 1 g than this number."""
 MIN_BITS = 7
 """Smallest length of a sensor axis [bits]."""
 MAX_TOGETHER = 12
@@ -297,7 +297,7 @@ def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:
-    """Return the triads without those that share a signal with a better triad."""
+    """Return the triads, without the triads that share a signal with a better triad."""
     used: set[str] = set()
     kept = []
     for triad in found:

@@ -89,7 +89,7 @@ class Turning:
         if unit is None:
             return None
         if not unit.is_sure:
-            doubt = f"the database states no unit; {', '.join(unit.others)} would fit too"
+            doubt = f"the database states no unit; {', '.join(unit.others)} would also fit"
         choice, track = find_wheels(wheels, unit, doubt, reference)
         if track is not None:
             self.vehicle.append(

@@ -72,7 +72,8 @@ def _roll_together(four: Sequence[SeenSignal]) -> bool:
 def find_wheels(
     four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, reference: KnownMotion
 ) -> tuple[Choice, float | None]:
-    """Find the wheel of each signal, and the track [m]. Names decide if they show all wheels.
+    """Find the wheel of each signal, and the track [m]. If the names show all wheels, the names
+    decide.
 
     In a left turn, the right wheels are faster. In any turn, the front wheels are faster.
     """

@@ -1,1 +1,1 @@
-"""Motion of the car while driving: quantities, equations, and their evidence in windows of time."""
+"""Motion of the vehicle while driving: quantities, equations of motion, and windows of signals."""

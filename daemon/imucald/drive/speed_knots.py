@@ -1,11 +1,11 @@
 """Replace signals by their means between the times at which the speed is known.
 
-Some speed signals come seldom, have coarse steps, or are zero below some km/h. Such a speed is
-known only at some times, which are called knots. Knots are the times of the samples, the times at
-which the speed passes the middle between two steps, and the times at rest. Interpolation does not
-give the true speed between two knots. All signals of the drive are therefore replaced by their
-means between the knots. The mean of dv/dt between two knots is known exactly. The equations between
-the signals are linear, so they are also valid for the means.
+Some speed signals have few samples, have coarse steps, or are zero below some km/h. The speed is
+then known only at some times. These times are called knots. There are three kinds of knots: times
+of samples, times at which the speed passes the middle between two steps, and times at rest.
+Interpolation does not give the true speed between two knots. All signals of the drive are therefore
+replaced by their means between the knots. The mean of dv/dt between two knots is known exactly. The
+equations between the signals are linear, so the equations are also valid for the means.
 """
 
 from __future__ import annotations
@@ -17,16 +17,18 @@ from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import TICK_S
 
 GENTLE = 0.5
-"""Smallest assumed acceleration [m/s^2] of a vehicle that stops or starts, while its speed is below
-the smallest speed of the sender. The value is a quarter of the 2 m/s^2 that ISO 15622 allows for an
-adaptive cruise control.
+"""Smallest assumed acceleration [m/s^2] of a vehicle that stops or starts, while the speed is below
+the smallest speed that the signal shows. The value is a quarter of 2 m/s^2, the limit of ISO 15622
+for an adaptive cruise control.
 """
 SURE = 0.99
-"""Fraction of the smallest speed of the sender. A value below this fraction is the mean of a tick
-in which the vehicle partly stands.
+"""Fraction of the smallest speed that the signal shows. If a value is below this fraction, the
+vehicle was at rest in a part of the tick.
 """
 DENSE = 1.5
-"""Distance in ticks up to which two knots count as knots in every tick."""
+"""Largest distance between two knots [ticks] for which the speed counts as known in every tick
+between the knots.
+"""
 
 
 def known_times(knots: Array, speed: Array, least: float) -> Array:

@@ -1,18 +1,18 @@
-"""The speed of a drive without a speed signal, as an unknown state with a prior.
+"""Estimate the speed in a drive without a speed signal. The speed is an unknown state with a prior.
 
     dv/dt = f_x - g u_x                 v: speed; f: force, in body axes
-    du_x/dt = r u_y - q + z_q           u: level part of the vertical
-    du_y/dt = p - z_p - r u_x           (p, q, r): rate of the body; z: its zero
+    du_x/dt = r u_y - q + z_q           u: horizontal part of the vertical
+    du_y/dt = p - z_p - r u_x           (p, q, r): rate of the body; z: zero error
     f_y = v r + g u_y + noise           v = 0 at rest
     u contains the slope of the road, which changes with distance
 
-A Kalman filter estimates these states. The part of f_y that the filter does not predict contains
-the evidence for other errors: cross-talk, a lever arm, a lag. The effect of each error on f_x, f_y
-and u goes through the same filter. A fit of these effects to the unpredicted part is therefore
-equal to a joint fit of the errors and the speed.
+A Kalman filter estimates the speed v, the vertical u and the zero errors z. The filter predicts
+f_y. The unpredicted part of f_y contains the evidence for other errors: cross-talk, a lever arm, a
+lag. The effects of these errors on f_x, f_y and u go through the same filter. A fit of these
+effects to the unpredicted part is therefore equal to a joint fit of the errors and the speed.
 
-Without a gyroscope, or in a hole of its samples, u cannot be integrated. In this case, u is a
-first-order Markov process along the road.
+Without gyroscope data, u cannot be integrated. In this case, the model of u is a first-order Markov
+process along the road.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ NAMES: Final = (
     "left", "xy", "yx", "tilted x", "tilted y", "dp/dt", "dr/dt", "r^2", "v", "d(v r)/dt",
     "dv/dt v r", "(v r)^2", "r^2 ahead", "dr/dt ahead", "gain",
 )  # fmt: skip
-"""Columns of `EliminatedSpeed`: the unpredicted part of f_y ("left"), and its responses to errors
-of size one.
+"""Columns of `EliminatedSpeed`: the unpredicted part of f_y ("left"), and the responses of this
+part to errors of size one.
 
 xy: error of v r in f_x. yx: error of dv/dt in f_y. v: zero error of the turn rate. tilted:
-cross-talk of the rate from z to x and to y. ahead: error in f_x; all other errors are in f_y.
+cross-talk of the rate from z to x and to y. ahead: error in f_x. All other errors are in f_y.
 """
 _XY, _TILTED_X, _TILTED_Y, _ROUND_AHEAD, _ARM_AHEAD = (
     NAMES.index(n) for n in ("xy", "tilted x", "tilted y", "r^2 ahead", "dr/dt ahead")
@@ -45,28 +45,32 @@ _YX, _TURN, _LAG, _BOTH, _SQUARE, _GAIN = (
     NAMES.index(n) for n in ("yx", "v", "d(v r)/dt", "dv/dt v r", "(v r)^2", "gain")
 )
 AHEAD, ACROSS = 0.01, 0.02
-"""Noise of f_x and f_y in a tick [(m/s^2)^2]: the level of `joint.evidence.USUAL_NOISE` with its
-correlation in time (chosen with seeds 9000 to 9009).
+"""Noise of f_x and f_y in a tick [(m/s^2)^2].
+
+The values have the size of `joint.evidence.USUAL_NOISE` and include the correlation of the noise in
+time. The values were chosen on the simulated drives with the seeds 9000 to 9009.
 """
 RATE_ZERO, RATE_WALK = 0.001, 1e-9
-"""Deviation of the rate's zero error after its measurement at rest [rad/s], and growth of its
-variance [(rad/s)^2/s]: 0.02 deg/s in a minute (assumption: warming up).
+"""Standard deviation of the rate's zero error after a measurement at rest [rad/s], and growth of
+the variance of this zero error [(rad/s)^2/s].
+
+The growth corresponds to a change of 0.014 deg/s in a minute while the sensor warms up
+(assumption).
 """
 FIRST_SPEED, FIRST_STD = 8.0, 10.0
-"""Assumed speed of a vehicle without any evidence about its speed, and deviation of this speed
-[m/s]."""
+"""Assumed speed before any evidence about the speed, and standard deviation of this speed [m/s]."""
 REST_STD = 0.1
-"""Deviation of the speed of a vehicle that is as still as a parked vehicle [m/s]."""
+"""Standard deviation of the speed while the vehicle is as still as a parked vehicle [m/s]."""
 EXPECTED = 2.0
-"""Largest speed of the filter, in deviations, at which stillness counts as rest. The sensor is also
-still during smooth cruising.
+"""Largest estimated speed, in standard deviations, at which a still sensor means that the vehicle
+is at rest. At a higher estimated speed, the vehicle may be cruising smoothly.
 """
 BLIND = 1.0
 """Assumed acceleration in a tick without a usable force [m/s^2]."""
 STANDING = 1.0
-"""Speed that is added to the absolute speed when distances are counted [m/s]."""
+"""Speed that is added to the absolute speed for the computation of distances [m/s]."""
 PULLED = 8
-"""Interval in ticks at which the prior of the slope is applied."""
+"""Number of ticks between two uses of the prior of the slope."""
 V, U_X, U_Y = 0, 1, 2
 
 

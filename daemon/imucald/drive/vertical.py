@@ -1,11 +1,12 @@
-"""The vertical in body axes: integrated with the gyroscope and corrected slowly towards the
-accelerometer.
+"""Compute the vertical in body axes. The vertical is integrated from the gyroscope's rates and
+corrected slowly towards the accelerometer.
 
     du/dt = -w x u + (p - u) / T      p: (force minus motion) / g
 
-In axes that do not rotate with the body, this equation is a first-order low-pass filter. A whole
-block is therefore computed at once: a prefix product gives the rotations, and a cumulative sum
-gives the low-pass filter.
+u: vertical. w: rate of the gyroscope. T: time constant of the correction. In axes that do not
+rotate with the body, this equation is a first-order low-pass filter. A whole block is therefore
+computed at once. A prefix product gives the rotations, and a cumulative sum gives the output of the
+filter.
 """
 
 from __future__ import annotations
@@ -21,14 +22,16 @@ PULL_S = 30.0
 FIRST_PULL_S = 3.0
 """Time constant of the correction at the start [s].
 
-The time constant grows with the time for which the vertical has been integrated.
+After the start, the time constant grows with the duration of the integration.
 """
 VERTICAL_WALK = 1e-3
-"""Random walk of a vertical that is integrated with a gyroscope [rad/sqrt(s)]. It contains the
-noise and the gain error of the gyroscope."""
+"""Random walk of a vertical that is integrated from a gyroscope [rad/sqrt(s)]. The value includes
+the noise and the gain error of the gyroscope.
+"""
 FIRST_TICKS = 64
-"""Number of ticks for the first vertical, which is the mean of the accelerometer over these
-ticks."""
+"""Number of ticks for the first vertical. The first vertical is the mean of the accelerometer over
+these ticks.
+"""
 
 
 class CarriedVertical:

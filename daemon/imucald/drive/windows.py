@@ -1,12 +1,12 @@
-"""Windows of driving, as Gram matrices by frequency band.
+"""Divide a drive into windows, and compute a Gram matrix for each window and frequency band.
 
 A window consists of four blocks of signals on an even time grid. The columns of a window are the
-force minus gravity, and the quantities from which the equations of the drive predict this force.
-All columns are in body axes. Each column is multiplied by the same taper, its mean and slope are
-removed, and it is Fourier-transformed. The products of all columns are stored for each frequency
-band. Every fit uses these products only.
+force minus gravity, and the quantities in the equations that predict this force. All columns are in
+body axes. Each column is multiplied by the same taper. The mean and the slope of the column are
+removed. Then the column is Fourier transformed. The products of all columns are stored for each
+frequency band. Every fit uses only these products.
 
-    y     = f - g u + (0, 0, v q)           u: the carried vertical
+    y     = f - g u + (0, 0, v q)           u: the integrated vertical
     y_i   = h_i1 dv/dt + h_i2 v r + nuisances
     p, q  = axis of turning times r + nuisances
 """
@@ -26,18 +26,22 @@ from imucald.motion.ticks import TICK_S
 Complex = NDArray[np.complex128]
 
 WINDOW = 256
-"""Ticks of a window: 25.6 s."""
+"""Number of ticks of a window: 25.6 s."""
 BLOCK = 64
-"""Ticks between the starts of two windows. Windows overlap, so each tick counts several times in a
-band: `OVERLAP` times."""
+"""Number of ticks between the starts of two windows.
+
+Windows overlap, so each tick counts `OVERLAP` times in a frequency band.
+"""
 OVERLAP = 1.925
 EDGES: Final = (1, 2, 3, 4, 6, 9, 13, 19, 26)
-"""Edges of the frequency bands in bins of 0.039 Hz: 0.04 to 1 Hz."""
+"""Edges of the frequency bands, from 0.04 to 1 Hz. The unit is the width of a Fourier bin, 0.039
+Hz.
+"""
 BANDS = len(EDGES) - 1
 BINS = np.arange(EDGES[0], EDGES[-1])
 BAND = np.repeat(np.arange(BANDS), np.diff(EDGES))
 OMEGA = 2.0 * np.pi * BINS / (WINDOW * TICK_S)
-"""Angular frequency of each bin [rad/s]."""
+"""Angular frequency of each Fourier bin [rad/s]."""
 
 MAIN = ("dv/dt", "v r")
 EXTRA = (
@@ -56,7 +60,9 @@ _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _RAMP = np.linspace(-1.0, 1.0, WINDOW)
 _PHASE = np.outer(BINS, np.arange(WINDOW)) * (2.0 * np.pi / WINDOW)
 _SUMS = np.concatenate([np.ones((1, WINDOW)), _RAMP[None], np.cos(_PHASE), -np.sin(_PHASE)])
-"""Linear map of a window to its sum, its sum times the ramp, and the Fourier bins that are used."""
+"""Matrix that computes linear functions of a window: the sum, the sum of the products with the
+ramp, and the Fourier bins that are used.
+"""
 
 
 def columns(

@@ -161,9 +161,9 @@ def _vector(values: Triple | None, factor: float) -> dict[str, float | None]:
 def transforms(reading: Reading) -> dict[tuple[str, str], tuple[float, float, float, float]]:
     """Return the quaternions w, x, y, z from child frame to parent frame, by (parent, child).
 
-    The result contains the sensor frame in the vehicle frame if the mount is known. It contains the
-    vehicle frame in the level frame if the attitude is known (heading 0 if the heading is not
-    known).
+    The result contains the sensor frame in the vehicle frame if the mount is known. The result
+    contains the vehicle frame in the level frame if the attitude is known (heading 0 if the heading
+    is not known).
     """
     found: dict[tuple[str, str], tuple[float, float, float, float]] = {}
     if reading.is_new and reading.status is not None:

@@ -88,8 +88,8 @@ def _failures(store: Store, sources: pa.Table) -> FinishedRows:
 def _drives(
     store: Store, sources: pa.Table
 ) -> tuple[FinishedRows, dict[str, tuple[int, str | None]]]:
-    """Return the valid rows of drives. Also return for each log_key the flush number and the
-    vehicle of its row."""
+    """Return the valid rows of drives. The second result contains for each log_key the flush number
+    and the vehicle of its row."""
     addresses: dict[str, list[str]] = {}
     columns = (sources.column(name).to_pylist() for name in ("source", "log_key", "outcome"))
     for source, key, outcome in zip(*columns, strict=True):

@@ -29,7 +29,7 @@ def evaluate(task: Task, also: Also | None = None) -> Outcome:
 
     also: function that returns additional columns of the drive.
 
-    The row depends only on the content of the log, the configuration and the code. It does not
+    The row depends only on the content of the log, the configuration and the code. The row does not
     depend on other drives of the vehicle, the order of the logs or the machine.
     """
     if task.code and task.code != code_hash():

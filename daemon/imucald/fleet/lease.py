@@ -22,7 +22,7 @@ STALE_S = 120.0
 
 class Owner(msgspec.Struct, frozen=True):
     """The process that holds the lease. started: start time of the process in the kernel's ticks.
-    It identifies the process, because process ids are reused."""
+    The start time is stored because process ids are reused."""
 
     token: str
     host: str
@@ -41,7 +41,7 @@ class Lease:
         )
 
     def __enter__(self) -> Lease:
-        """Take the lease. Raises ImucaldError if another living run holds it."""
+        """Take the lease. Raises ImucaldError if another running process holds the lease."""
         data = msgspec.json.encode(self._owner)
         for _ in range(2):
             if self._store.create(NAME, data):
@@ -64,7 +64,7 @@ class Lease:
         return self
 
     def beat(self) -> None:
-        """Renew the lease if this is due. Raises ImucaldError if another run has taken the
+        """Renew the lease if a renewal is due. Raises ImucaldError if another run has taken the
         lease."""
         now = time.time()
         if now - self._owner.beat < BEAT_S:

@@ -1,4 +1,4 @@
-"""Task and outcome of one log. They are plain data, and are sent between processes as JSON."""
+"""Task and outcome of one log. Both are plain data, and are sent between processes as JSON."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class Cost(msgspec.Struct, frozen=True):
-    """Resources that an attempt used. They are stored in a separate table, because they differ from
-    run to run."""
+    """Resources that an attempt used. Resources are stored in a separate table, because they differ
+    from run to run."""
 
     wall_s: float = 0.0
     cpu_s: float = 0.0

@@ -1,4 +1,5 @@
-"""The template process. It imports all modules and waits. Child processes are forked from it.
+"""The template process. The template process imports all modules and waits. Child processes are
+forked from the template process.
 
 python -m imucald.fleet.template DESCRIPTOR FUNCTION
 

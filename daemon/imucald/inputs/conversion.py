@@ -118,8 +118,8 @@ class Conversion(Struct, frozen=True):
         return values, codes
 
     def _takes_all(self, physical: NDArray[np.float64]) -> bool:
-        """True if no value is rejected for its size. Only the extreme values are checked, because
-        this is sufficient."""
+        """True if no value is rejected for its size. It is sufficient to check the extreme
+        values."""
         if not len(physical):
             return True
         ends = np.minimum.reduce(physical), np.maximum.reduce(physical)  # NaN if any is NaN

@@ -1,8 +1,8 @@
 """Convert frames to samples. A router is compiled from the configuration and the databases.
 
-A `Router` receives single frames (live) or columns of frames (replay). It returns samples by
-channel (see `core.samples`). The samples are the same in both cases. The router counts rejections
-by reason.
+A `Router` receives single frames (live) or columns of frames (replay). The router returns samples
+by channel (see `core.samples`). The samples are the same in both cases. The router counts
+rejections by reason.
 """
 
 from __future__ import annotations

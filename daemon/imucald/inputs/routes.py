@@ -245,4 +245,5 @@ class RawRoute:
 
 
 SignalRoute = MessageRoute | RawRoute
-"""A route of either kind. Both classes have the same attributes and methods."""
+"""A route for a message or for a raw expression. Both classes have the same attributes and
+methods."""

@@ -27,8 +27,8 @@ AS_OFTEN = 2
 """A candidate must send at least 1 / AS_OFTEN of the number of frames of the most frequent
 candidate. Therefore a unit that sends a single frame at its start is no candidate."""
 NOT_AVAILABLE = 0xFF
-"""A payload with only this byte holds no data (J1939-71, 5.1.4). Such a payload is ignored in the
-choice."""
+"""If all bytes of a payload have this value, the payload contains no data (J1939-71, 5.1.4). Such a
+payload is ignored in the choice."""
 
 Rows = NDArray[np.int64]
 

@@ -17,9 +17,10 @@ from imucald.model.section import NonNegative, Positive, Section
 BANDS_HZ = (0.0, 0.1, 0.2, 0.4, 1.0, 2.5, 5.0)
 """Edges of the frequency bands [Hz]."""
 LAGS = (1, 2, 4, 8, 16, 32)
-"""Numbers of samples over which changes of a signal are taken. They replace the bands."""
+"""Numbers of samples over which changes of a signal are taken. These numbers replace the frequency
+bands."""
 GAP_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
-"""Quantiles of the gaps between levels that occur. The first quantile is one step, because codes
+"""Quantiles of the gaps between neighbouring levels. The first quantile is one step, because codes
 may be missing."""
 Bands = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 

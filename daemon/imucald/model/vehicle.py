@@ -103,8 +103,8 @@ class Suspension(Section, frozen=True):
     heave_damping: Positive = 0.30
     wheel_hop_hz: Positive = 11.0
     unsprung_ratio: Positive = 0.12
-    """Ratio of unsprung to sprung mass. Together with `wheel_hop_hz`, it determines the stiffness
-    of the tyre."""
+    """Ratio of unsprung to sprung mass. This ratio and `wheel_hop_hz` determine the stiffness of
+    the tyre."""
 
 
 class Road(Section, frozen=True):
@@ -130,7 +130,8 @@ class Road(Section, frozen=True):
     superelevation_max: NonNegative = 0.05
     roughness: bool = True
     roughness_n0: NonNegative = 48e-6
-    """Displacement spectral density at 0.1 cycles/m [m^3]; ISO 8608: A 16e-6, B 64e-6, C 256e-6."""
+    """Displacement spectral density at 0.1 cycles/m [m^3]; ISO 8608: class A 16e-6, class B 64e-6,
+    class C 256e-6."""
 
 
 class DriveRoute(Section, frozen=True):

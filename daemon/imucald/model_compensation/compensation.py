@@ -34,8 +34,8 @@ STATED_DELAY_STD = 0.03
 
 @dataclass(frozen=True)
 class ModelCompensation:
-    """The terms of one model file. The object is immutable. Objects made from it contain the
-    changing state.
+    """The terms of one model file. The object is immutable. The objects that this object makes
+    contain the changing state.
 
     name: name of the model file. notes: one line for each part of the file that is not used.
     suspension: True if the body's roll and pitch on its springs are removed from the corrected

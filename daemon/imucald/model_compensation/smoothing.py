@@ -11,8 +11,8 @@ GAP_S = 0.5
 
 
 class Smoothed:
-    """First-order low-pass filter. It uses the backward Euler method, so it is stable for any time
-    step.
+    """First-order low-pass filter. The filter uses the backward Euler method, so the filter is
+    stable for any time step.
 
     corner: corner frequency [Hz].
     """

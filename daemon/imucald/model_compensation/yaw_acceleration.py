@@ -4,8 +4,9 @@ The observer is of second order, for the rate and its derivative, with a damping
 poles. The corner frequency was chosen with simulated drives. With 3 to 5 Hz, the error of dr/dt
 times a lever arm of 1.5 m is smallest: 0.035 of 0.11 m/s^2 rms. A lower corner frequency gives a
 larger delay, and a higher corner frequency passes more noise of the gyroscope. The body's pitch and
-roll on a rough road are too fast for any causal filter with such noise. Removing their acceleration
-made the force worse at every corner frequency, so it is not removed.
+roll on a rough road are too fast for any causal filter with such noise. Removing the acceleration
+of pitch and roll made the force worse at every corner frequency, so this acceleration is not
+removed.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ GAP_S = 0.5
 
 
 class YawAcceleration:
-    """Takes yaw rates [rad/s] and returns their derivative. It uses the backward Euler method,
-    which is stable for any time step."""
+    """Takes yaw rates [rad/s] and returns their derivative. The observer uses the backward Euler
+    method, which is stable for any time step."""
 
     def __init__(self) -> None:
         omega = 2.0 * math.pi * CORNER_HZ

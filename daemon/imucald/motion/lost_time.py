@@ -3,8 +3,8 @@
 Stream time never goes back. If the clock of the time stamps is set back a little, stream time
 stands still until the time stamps have caught up. A rate that is integrated over stream time misses
 the rotation during this time. Stream time also stands still for samples that come late or in
-batches. In this case, a longer time step comes before or after. Only standing time without such a
-longer step is lost.
+batches. In this case, a longer time step comes before or after the samples. Only standing time
+without such a longer step is lost.
 """
 
 from __future__ import annotations

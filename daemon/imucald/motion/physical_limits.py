@@ -1,7 +1,7 @@
 """Physical limits of sensors and road vehicles, for mount, attitude and motion.
 
-There are three kinds of limits. A number that no sensor of this kind can measure is *impossible*.
-Impossible numbers are dropped before any use. A motion that no road vehicle makes is *implausible*.
+There are three kinds of limits. A value that no sensor of this kind can measure is *impossible*.
+Impossible values are dropped before any use. A motion that no road vehicle makes is *implausible*.
 The cause of an implausible motion may be a fall, a turntable or a wrong unit. A value at the end of
 the sensor's range is *saturated*, because the true value lies beyond the range.
 (`inputs.quantities` checks the range that a signal's database states.)
@@ -68,7 +68,8 @@ Method A reduces the weight of outliers. Forces from potholes and kerbs are ther
 forces that no drive causes are rejected.
 """
 MAX_ROAD_RATE = 4.0
-"""Largest turn rate of a road vehicle [rad/s]. A rollover is faster, a spin on ice is not."""
+"""Largest turn rate of a road vehicle [rad/s]. A rollover exceeds this rate. A spin on ice does not
+exceed this rate."""
 MAX_ROAD_DVDT = 12.0
 """Largest change of speed of a road vehicle [m/s^2]: the grip of tyres is about 1 g."""
 

@@ -29,8 +29,8 @@ samples on each of the two steps below it.
 The codes of a converter differ in width by about 30 % (differential nonlinearity of 0.3 LSB).
 """
 STAYS_COUNT = 0.5
-"""Weight of each sample in the count. It is below 1 because neighbouring samples are not
-independent."""
+"""Weight of the evidence from samples that equal the sample before. The weight is below 1 because
+neighbouring samples are not independent."""
 MOST_SAMPLES = 512
 
 
@@ -141,7 +141,7 @@ class Pile(Struct):
         return self.met + STAYS_COUNT * more_often(self.stays, self.at_it, self.rate)
 
     def count(self, at: AxisHops, h: int, axis: int, side: int, value: float) -> bool:
-        """Count the new samples of hop h on the value. Returns whether there are any.
+        """Count the new samples of hop h on the value. Returns True if there are new samples.
 
         A sample that was sent twice is not new. side: 0 for the largest value, 1 for the smallest
         value, which is negated.

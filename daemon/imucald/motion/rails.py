@@ -2,7 +2,7 @@
 
 An axis within its range reaches its largest value only once, by chance. A rail is reached again and
 again, and the axis stays there. Data that repeat to the last bit, such as a recording in a loop,
-count once.
+are counted only once.
 
 For each side of an axis, the extremes that no later value has exceeded are stored, from high to
 low. The number of samples on a value, and one and two steps below this value, shows whether the
@@ -55,9 +55,9 @@ class TopRows:
     """The stored extremes of one side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,)
     are used.
 
-    The sixth column is 1 if the samples on the value are counted (in `piles`, by value). recent:
-    (`TAIL_HOPS`,) ring buffer with the largest values of the last driving hops. hops: (1,) number
-    of driving hops.
+    The sixth column is 1 if the samples with the extreme value are counted in `piles`, by value.
+    recent: (`TAIL_HOPS`,) ring buffer with the largest values of the last driving hops. hops: (1,)
+    number of driving hops.
     """
 
     def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
@@ -263,9 +263,9 @@ BROAD = 3
 measured over these peaks."""
 UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
 """Smallest and largest number of driving hops without contact after which a rail is dropped: one
-minute and five minutes. In between, a rail is dropped after `SURPRISE` times its usual pause. The
-chance that a true rail has so long a pause equals the chance of a false rail. The tail is known
-from a minute.
+minute and five minutes. Between one and five minutes, a rail is dropped after `SURPRISE` times its
+usual pause. The chance that a true rail has so long a pause equals the chance of a false rail. One
+minute of driving is enough to know the tail of the values.
 """
 USUAL_CHANGE = 4.0
 """Largest change with which an axis leaves a rail, as a multiple of its mean change from sample to
@@ -277,11 +277,12 @@ class Rail:
     """Decides whether the largest value of one side of an axis is the end of its range.
 
     Without a rail, it is improbable that the peaks of a tail fall into the same step, or that
-    samples stay there while other axes move. On a rail, both are usual. Every value that no later
-    value has exceeded is watched, so that a value reached before the rail existed does not hide the
-    rail. Only driving counts. The rail is dropped when a value lies beyond it, or when driving no
-    longer reaches it. surprise: -log of the chance of the data without a rail [nats]. A stay is
-    counted only when it has ended. A stuck axis is not a rail, and its stay counts as one arrival.
+    samples stay there while other axes move. On a rail, such peaks and stays are usual. Every value
+    that no later value has exceeded is watched, so that a value reached before the rail existed
+    does not hide the rail. Only driving counts. The rail is dropped when a value lies beyond it, or
+    when driving no longer reaches it. surprise: -log of the chance of the data without a rail
+    [nats]. A stay is counted only when it has ended. A stuck axis is not a rail, and its stay
+    counts as one arrival.
     value: value to which the surprise belongs. least: surprise from which the value is a rail.
     """
 

@@ -60,8 +60,8 @@ An axis that is coarser than its noise, or whose samples are seldom, has few cha
 number is random.
 """
 OTHER_CHANGE = 4.0
-"""Factor by which the other sensor changes if the road became rough. The unit is then the same as
-before.
+"""Factor by which the noise of the other sensor changes if the road became rough. In this case, the
+unit has not changed.
 """
 SOME_CHANGES = 3
 """Smallest number of changes of an axis that became quieter. A single change comes from a sender

@@ -194,7 +194,7 @@ class SignalHealth:
 
     def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
         """Take new ticks in which "speed" or "yaw_rate" has short runs only. Returns False if
-        `flags` must test them.
+        `flags` must test these ticks.
 
         The arguments are those of `StuckSignal.take_short_runs`. No speed may be zero.
         """
@@ -346,7 +346,8 @@ class FaultsInForce:
         self._events = events
 
     def go_on(self, found: Faults, now: float, passed: float) -> None:
-        """Update the present faults with the faults found. A fault ends after `SOUND_S` without it.
+        """Update the present faults with the faults found. A fault ends after the time `SOUND_S`
+        without evidence of the fault.
 
         now: stream time [s]. passed: time since the last call [s].
         """

@@ -114,8 +114,8 @@ class Acceptance(Struct, frozen=True):
 
     @property
     def can_become_fine(self) -> bool:
-        """True if more driving can make the estimate *fine*. The present deviations do not count
-        here."""
+        """True if more driving can make the estimate *fine*. The present deviations are not
+        tested."""
         return not (self.changes.is_loose or self.has_no_sides)
 
     @property

@@ -50,8 +50,8 @@ class BlockSpeed:
         self.knots = IN_EACH_TICK
         """Times at which the speed of the last block is known."""
         self._step = 0.0
-        """Resolution step of the speed signal [m/s]; 0 until a step was seen. A noisy signal hides
-        its step."""
+        """Resolution step of the speed signal [m/s]; 0 until a step was seen. The step of a noisy
+        signal cannot be seen."""
         self._is_rolling = False  # when the speed was last known, or while it is stuck
 
     @property
@@ -151,8 +151,8 @@ class BlockSpeed:
     def _follow_least_speed(self, sizes: Array) -> None:
         """Update the smallest speed that was seen.
 
-        A speed counts only if the ticks before and after it are moving too. The mean of a tick in
-        which the vehicle stops or starts is too small.
+        A speed counts only if the ticks before and after it are moving too. In a tick in which the
+        vehicle stops or starts, the mean speed of the tick is too small.
         """
         moves = sizes > ZERO_SPEED
         between = moves[1:-1] & moves[:-2] & moves[2:]

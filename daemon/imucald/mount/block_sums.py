@@ -169,8 +169,8 @@ dv/dt, v r, r^2, derivative of r, derivative of dv/dt.
 
 
 def _sums(m: BlockMotion, use: Flags) -> list[float]:
-    """Return the number of ticks in use and the sums of the products in `_PAIRS`. The means are
-    subtracted first."""
+    """Return the number of ticks in use and the sums of the products in `_PAIRS`. The mean of each
+    signal is subtracted first."""
     late = m.delay / TICK_S
     n = len(use)
     at = np.minimum(np.maximum(np.arange(n) + late, 0.0), n - 1.0)

@@ -90,8 +90,8 @@ class CarriedForce:
         self.vertical.restart()
 
     def follow(self, evidence: Evidence) -> bool:
-        """Take the present estimates of the evidence. Returns True if they contain the first
-        rotation."""
+        """Take the present estimates of the evidence. Returns True if these estimates contain the
+        first rotation."""
         rotation, solution = evidence.rotation, evidence.solution
         if rotation is None:
             return False

@@ -6,9 +6,9 @@ same motion are therefore compared all the time. The first pair is the gyroscope
 turn rate from the vehicle's own signals. The second pair is v r and the force to the left, the
 third pair is dv/dt and the force ahead.
 
-The drive is divided into pieces, each with a bend or a braking. For each piece and each pair of
-signals, the correlation and the gain are computed. Correct pairs have a correlation of 0.8 to 1 in
-a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten pieces. The
+The drive is divided into pieces. Each piece has a bend or a braking. For each piece and each pair
+of signals, the correlation and the gain are computed. Correct pairs have a correlation of 0.8 to 1
+in a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten pieces. The
 correlation of a correct pair is below `UNLIKE` in fewer than one of a hundred pieces. A false fault
 needs `TO_ACCUSE` such pieces among the last `REMEMBERED` pieces.
 """
@@ -347,22 +347,22 @@ class Contradictions:
 
     @property
     def agreed(self) -> bool:
-        """True if every pair that could be checked was seen to agree, and at least the pair of v r
-        and lateral force.
+        """True if every pair that has pieces agrees in the last one.
 
-        The pair of dv/dt and forward force need not be seen to agree: slope and a speed with few
-        samples may hide dv/dt.
+        The pair of dv/dt and forward force need not agree: slope and a speed with few samples may
+        hide dv/dt. A pair without pieces is left to `alternatives`, whose log ratios also count
+        small turns.
         """
         return all(pair.agreed for pair in self._asked)
 
     @property
     def share(self) -> float:
         """Collected share (0 to 1) of the evidence that `agreed` needs."""
-        return min(pair.share for pair in self._asked)
+        return min((pair.share for pair in self._asked), default=1.0)
 
     @property
     def _asked(self) -> list[PairWatch]:
-        return [self.turns, *(pair for pair in (self.yaw_rate, self.steering) if pair.pieces)]
+        return [pair for pair in (self.turns, self.yaw_rate, self.steering) if pair.pieces]
 
 
 _NO_MOUNT = np.zeros((3, 3))

@@ -101,8 +101,8 @@ TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
 """Number of ticks of a block that are not trusted, from which learning counts as frozen."""
 SOLUTIONS_KEPT = 32
-"""Number of stored solutions: all solutions of the first three minutes. Later solutions are further
-apart in time."""
+"""Number of stored solutions: all solutions of the first three minutes. Later solutions follow at
+longer intervals."""
 MOVE_UNSEEN_S = 60.0
 """Uncertainty of the time of a move. The time found is exact to one or two blocks, but too late for
 a slow move. Blocks within 60 s before this time may therefore contain a part of the move.
@@ -274,7 +274,7 @@ class JointEstimator:
     @property
     def contradiction(self) -> float | None:
         """Chi-square (3 degrees of freedom) between this mount and the mount of an earlier drive;
-        None: there is no comparison."""
+        None if there is no comparison."""
         if self.solution is None or self._joint.is_moved:
             return None
         return self.solution.contradiction
@@ -450,7 +450,7 @@ class JointEstimator:
         """Look for a rotation by several degrees, and for gravity far from the vertical.
 
         turned: result of the test of this block alone. is_watched: a filter tests for sudden
-        changes. Returns True if there was a change. The change is then handled.
+        changes. If there was a change, handle the change and return True.
         """
         carried, changes = self._carried, self._changes
         if carried.R is None:
@@ -564,7 +564,7 @@ class JointEstimator:
         """Integrate the direction of gravity again, through these blocks alone.
 
         before: object whose rotation is the start, turned by `turn`, the rotation vector (3,) of
-        the sensor since then [rad]. This rotation is close to the present one.
+        the sensor since then [rad]. The rotation of `before` is close to the present rotation.
         """
         self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
         if before is not None:

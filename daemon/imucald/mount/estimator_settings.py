@@ -111,8 +111,8 @@ class EstimatorSettings(MountSettings, frozen=True):
     slope_length: float = SLOPE_LENGTH
     """Correlation length of the slope along the road [m]."""
     unevenness: tuple[float, float] = (1.0, 1.0)
-    """Factors on `slope_std` for the tangents across and along the road. A model file states them
-    if the roads are more uneven. The tests for a moved sensor use these factors.
+    """Factors on `slope_std` for the tangents across and along the road. A model file states these
+    values if the roads are more uneven. The tests for a moved sensor use these factors.
     """
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(), "yaw_rate": DelayPrior(0.05, 0.1)}

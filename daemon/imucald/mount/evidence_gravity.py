@@ -82,7 +82,7 @@ class GravityEvidence:
 
     @property
     def known(self) -> bool:
-        """True if there is any direction of gravity."""
+        """True if a direction of gravity is known."""
         return self._weight > 0.0
 
     def mean_force(self) -> Array:

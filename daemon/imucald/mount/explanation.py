@@ -1,8 +1,9 @@
 """Explanation of an estimate: missing evidence of each angle, progress, and details.
 
-The first reason is a problem that driving does not solve, the second an open test, the third too
-little driving. The information about an angle, 1 / variance, grows at a nearly constant rate with
-driving. A limit of the deviation is also a limit of the information. The ratio (limit /
+The reported reason of an angle is a problem that driving does not solve. If there is no such
+problem, the reason is too little driving. If the deviation of the angle is small enough, the reason
+is an open test. The information about an angle, 1 / variance, grows at a nearly constant rate with
+driving. A limit on the deviation is also a limit on the information. The ratio (limit /
 deviation)^2 is therefore the collected share of the needed information, and it grows at a nearly
 constant rate. The recent growth of this share predicts the remaining time. The log ratios of the
 sign tests also grow at a nearly constant rate.
@@ -46,7 +47,8 @@ def waiting_reasons(
     has no entry.
 
     known: knowledge from the evidence. state: reported state. troubles: problems that more driving
-    does not solve, see `mount_troubles`. A trouble has priority over any other reason.
+    does not solve, see `mount_troubles`. A problem in `troubles` has priority over any other
+    reason.
     """
     if state is MountState.FINE:
         return {}, {}

@@ -18,8 +18,9 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.signal_blocks import SignalBlock
 
 PULL_S = 16.0
-"""Time constant of the correction of the vertical towards the accelerometer [s]. It is shorter than
-the constant in `drive.vertical`, so a zero error of the rate tilts the vertical less.
+"""Time constant of the correction of the vertical towards the accelerometer [s]. This time constant
+is shorter than the time constant in `drive.vertical`, so a zero error of the rate tilts the
+vertical less.
 """
 MAX_BLIND = 10
 """Number of ticks of a block without rate and without usable force, above which the vertical is

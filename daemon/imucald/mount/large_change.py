@@ -435,7 +435,7 @@ def _mean_force(force: Array) -> tuple[Array, Array]:
     """Return the mean of forces (n, 3) and the variance of the mean (3, 3).
 
     The variance is computed from differences between successive ticks. A tilt during these ticks
-    hardly enlarges it.
+    hardly enlarges this variance.
     """
     steps = np.diff(force, axis=0)
     return force.mean(axis=0), 0.5 * (steps.T @ steps) / (len(steps) * len(force))

@@ -14,7 +14,7 @@ from imucald.mount.restored import KnowsSensor, Phase, RestoredEstimator, Stored
 
 def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
     """Return the mount that an estimator reports now, in a form from which another estimator can
-    continue. None: there is no mount.
+    continue. None if there is no mount.
     """
     correction = estimator.correction
     if correction is None:
@@ -60,7 +60,7 @@ def known_sensor(estimator: MountEstimator) -> KnownSensor | None:
 
 
 def held(estimator: MountEstimator) -> RestoredEstimator | None:
-    """Return an estimator that holds the mount reported now; None: there is no mount.
+    """Return an estimator that holds the mount reported now; None if there is no mount.
 
     The given estimator continues inside, because it detects best whether the drive contradicts the
     mount.

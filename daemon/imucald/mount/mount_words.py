@@ -280,8 +280,8 @@ def left_out_words(details: Mapping[str, Any]) -> str:
 
 
 def is_move(shift: Mapping[str, Any]) -> bool:
-    """True if an item of `details.shifts` is a moved sensor. A change within its interval is
-    not."""
+    """True if an item of `details.shifts` is a moved sensor. A change within its stated interval is
+    not a moved sensor."""
     return shift.get("within_deg") is None
 
 

@@ -36,9 +36,9 @@ _COS = math.cos(MAX_OFF_VERTICAL)
 def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     """True if gravity, rotated by R, is further from the vertical than on any road.
 
-    Gravity must exceed the limit both with and without the motion in the force. The limit is
-    therefore exceeded neither by hard driving nor by a wrong speed or turn rate. Without a signal
-    that shows turns, a block of driving is not judged, because its bend may be arbitrarily sharp.
+    Gravity must exceed the limit both with and without the motion in the force. Hard driving, a
+    wrong speed or a wrong turn rate therefore cannot exceed the limit. Without a signal that shows
+    turns, a block of driving is not judged, because its bend may be arbitrarily sharp.
     `large_change` judges such data over more blocks.
     """
     use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)

@@ -118,7 +118,7 @@ class KnowsSensor(Protocol):
     @property
     def contradiction(self) -> float | None:
         """Chi-square (3 degrees of freedom) between this mount and the mount of the earlier drive;
-        None: there is no comparison."""
+        None if there is no comparison."""
         ...
 
     def leave_mount(self) -> None:

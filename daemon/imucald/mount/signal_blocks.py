@@ -192,8 +192,8 @@ class SignalBlockMaker:
         self.health.restart()
 
     def _even(self) -> EvenBlock | None:
-        """Return the precomputed block. If there is none, compute it now; None if force or rate has
-        a hole."""
+        """Return the precomputed block, or compute the block now; None if force or rate has a
+        hole."""
         rows = self._rows
         while self._expected:
             end, block = self._expected.popleft()

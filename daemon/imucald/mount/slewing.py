@@ -27,7 +27,7 @@ class SlewedCorrection:
 
     Rotation, matrices and offsets reach the target at the same time. The difference between a
     matrix and the rotation counts as an angle. An offset of the force counts as the tilt of gravity
-    that would cause it. An offset of the rate of 1 rad/s counts as 1 rad.
+    that would cause this offset. An offset of the rate of 1 rad/s counts as 1 rad.
     """
 
     def __init__(self, rate: float) -> None:
@@ -83,8 +83,8 @@ class SlewedCorrection:
 
 
 def _apart(a: Correction, b: Correction) -> float:
-    """Return the distance of two corrections [rad]. The difference of their rotations is left
-    out."""
+    """Return the distance of two corrections [rad]. The difference between the two rotations is
+    left out."""
     if a.is_rotation and b.is_rotation:
         return 0.0
     return float(np.abs(_rest(a) - _rest(b)).max())

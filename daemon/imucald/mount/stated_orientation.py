@@ -1,9 +1,9 @@
 """Compare the orientation that a person states roughly with the rotation that was found.
 
 The mirror image of a drive (all signs of the accelerometer inverted) reverses up and forward. A
-drive in reverse without a reverse signal reverses forward and left. In both cases, the rotation is
-wrong by 180 deg. A rough statement of the axis that points up, or forward, is therefore enough to
-rule out a wrong rotation.
+drive in reverse without a reverse signal reverses forward and left. With a mirror image or a drive
+in reverse, the rotation is wrong by 180 deg. A rough statement of the axis that points up, or
+forward, is therefore enough to rule out a wrong rotation.
 
 An axis within 60 deg of the stated direction confirms the rotation. An axis beyond 120 deg
 contradicts the rotation.
@@ -47,7 +47,7 @@ class StatedOrientation:
 
     def contradicted(self, R: Matrix3, yaw_known: bool) -> Stated | None:
         """Return the key, "up" or "forward", whose axis points in the opposite direction in
-        R_vehicle_from_sensor. If both do, the result is "up".
+        R_vehicle_from_sensor. If both axes point in the opposite direction, the result is "up".
         """
         rows: tuple[tuple[int, Stated], ...] = ((UP, "up"), (FORWARD, "forward"))
         for row, key in rows if yaw_known else rows[:1]:

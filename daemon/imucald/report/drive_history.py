@@ -1,7 +1,7 @@
 """Data of a replay for its page: samples, corrected frames and snapshots, by time.
 
-Corrected values are decoded from the frames that were sent. They are therefore the values that a
-control unit would have received.
+Corrected values are decoded from the frames that were sent. The decoded values are therefore the
+values that a control unit would have received.
 """
 
 from __future__ import annotations

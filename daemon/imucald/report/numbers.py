@@ -29,8 +29,8 @@ RATES = ("speed.delay_rate",)
 TIMES = ("mount.shifts.t_s",)
 """Keys of times within a drive [s]. Other times are delays and are shown in milliseconds."""
 LONG_S = 1.0
-"""A time that is longer than this is shown in seconds [s]. Such a time belongs to a stuck signal,
-not to a delay."""
+"""Times above this value are shown in seconds, shorter times in milliseconds [s]. Such a time
+belongs to a stuck signal, not to a delay."""
 
 
 def number(x: float, digits: int = 3) -> str:

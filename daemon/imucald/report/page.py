@@ -132,7 +132,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         name, best = min(rows, key=lambda row: _size(row[1].rms_after / row[1].rms_before))
         unit = numbers.unit_text(best.unit)
         figures.append((
-            "Residual reduced most, on data not fitted",
+            "Largest reduction of a residual, on data not used for the fit",
             f"by {words.less(best).removeprefix('-')}",
             f"{titles.signal_title(name)}: {numbers.number(best.rms_before)} → "
             f"{numbers.number(best.rms_after)} {unit}",

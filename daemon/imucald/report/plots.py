@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
-"""Colours: vermilion, blue, nearly black, grey. They are distinguishable with any colour blindness
-(Okabe and Ito)."""
+"""Colours: vermilion, blue, nearly black, grey. These colours are distinguishable with any colour
+blindness (Okabe and Ito)."""
 
 TIME_BINS = 420
 SPECTRUM_BINS = 160
@@ -33,11 +33,11 @@ DRIVER_BINS = 24
 DRIVER_LEAST = 12
 SEGMENT_S = 45.0
 MINUTES_FROM_S = 300.0
-"""Time axes that are longer than this are in minutes [s]."""
+"""Time axes above this length are in minutes [s]."""
 DECADES = 6
 """Number of decades of a spectrum that are shown, from its highest value downwards."""
 FEW_DECADES = 60.0
-"""A logarithmic axis whose ratio of ends is smaller than this also has ticks at 2 and 5."""
+"""A logarithmic axis has ticks at 2 and 5 too if the ratio of its ends is below this value."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 EXTREME = 99.7
 """This percentile of the residual's size determines the range of the axis. Single spikes may be

@@ -147,8 +147,8 @@ def _angle(moment: Moment, angle: int) -> tuple[float, float]:
 
 
 def _size(off: Array, half: Array) -> float:
-    """Return half of the height of a picture of angles [deg]. The angles of the last three quarters
-    of the drive are completely visible; those of the first quarter may be outside the picture."""
+    """Return half of the height of a picture of angles [deg]. All angles of the last three quarters
+    of the drive are visible; angles of the first quarter may be outside the picture."""
     late = slice(len(off) // 4, None)
     edge = np.abs(off[late]) + half[late]
     if not np.isfinite(edge).any():

@@ -16,7 +16,7 @@ from imucald.report.pointed_values import pointed_values
 
 LAYOUT_FONT = "DejaVu Sans"
 """Font for the layout of pictures. The font is part of matplotlib, so the layout is the same on
-every machine. It is a wide font, so texts in other fonts fit too."""
+every machine. DejaVu Sans is a wide font, so texts in other fonts fit too."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
 METADATA = ("Date", "Creator", "Format", "Type")
 PATH = re.compile(r'( d=")([^"]*)"')

@@ -22,7 +22,7 @@ CAUSES: Mapping[str, str] = {
     "yaw_rate_scale": "yaw-rate scale",
     "yaw_rate_offset": "yaw-rate offset",
     "steering_offset": "steering-angle offset",
-    "delay_rate": "clocks that run apart",
+    "delay_rate": "clocks with different rates",
     "dropouts": "drop-outs",
     "duplicated_frames": "doubled frames",
 }

@@ -25,7 +25,7 @@ from imucald.report.model_changes import model_changes
 from imucald.report.numbers import for_people, in_file, number, typographic, unit_text
 from imucald.report.titles import cause_title, key_title, signal_title
 
-AS_WELL = " does as well on data that no fit saw"
+AS_WELL = " explains data that was not used for the fit equally well"
 """End of the sentence in a diagnosis about other causes that fit as well."""
 MANY = 4
 """Largest number of names in a sentence. Of a longer list, the first names are shown."""
@@ -110,8 +110,8 @@ def ways_apart(group: Sequence[str]) -> list[str]:
 
 
 def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
-    """Return the arguments against a cause. They contain the titles of other causes that fit as
-    well."""
+    """Return the arguments against a cause. The texts contain the titles of other causes that fit
+    as well."""
     texts = [_with_rivals(typographic(text)) for text in cause.against]
     if not any(text.endswith(AS_WELL) for text in cause.against):
         groups = [g for g in diagnosis.look_alikes if cause.name in g]
@@ -152,7 +152,8 @@ def _with_rivals(text: str) -> str:
         return text
     names = text.removesuffix(AS_WELL).split(" and ")
     rivals = few_of([cause_title(name.replace(" ", "_")) for name in names], "and")
-    return f"{rivals} {'does' if len(names) == 1 else 'do'}{AS_WELL.removeprefix(' does')}"
+    verb = "explains" if len(names) == 1 else "explain"
+    return f"{rivals} {verb}{AS_WELL.removeprefix(' explains')}"
 
 
 def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
@@ -255,14 +256,14 @@ def _advice(diagnosis: Diagnosis) -> str:
 def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
     """Return the advice about the extended model file in short form: the advice, and its reason."""
     if not model_changes(diagnosis.model_before, diagnosis.model_after):
-        return "unchanged", "the model file has no key for what was found"
+        return "unchanged", "the model file has no key for the found causes"
     if not diagnosis.recommended:
-        return "not recommended", "judged by its gain on data not fitted"
+        return "not recommended", "the reason is the gain on data not used for the fit"
     if not diagnosis.gain.was_fitted:
-        return "states what was found", "the values were read directly and change no prediction"
+        return "contains the found values", "the values were read directly and change no prediction"
     if why := for_prediction_only(diagnosis):
         return "for prediction only", why
-    return "use it", "judged by its gain on data not fitted"
+    return "use it", "the reason is the gain on data not used for the fit"
 
 
 def _likely(diagnosis: Diagnosis) -> str:
@@ -377,7 +378,7 @@ def _counted(n: int) -> str:
 
 def structure_text(structure: Structure) -> str:
     """Return a text about an unexplained pattern, with the title of the parameter. If the parameter
-    does not belong to the sensor of the signal, the text states this."""
+    belongs to another sensor than the signal, the text states the other sensor."""
     key, text = structure.parameter, structure.text
     if not key:
         return typographic(text)

@@ -1,9 +1,9 @@
 """Consumers: calculations that use the same samples as the mount calibration and run in parallel
 with it.
 
-A consumer receives samples one by one, in the same order live and in replay. It returns frames at
-the ends of ticks. The engine knows only the protocol `Consumer`; the module `consumers` contains
-the existing consumers. `ConsumerGroup` contains the consumers of one engine.
+A consumer receives samples one by one, in the same order live and in replay. A consumer returns
+frames at the ends of ticks. The engine knows only the protocol `Consumer`; the module `consumers`
+contains the existing consumers. `ConsumerGroup` contains the consumers of one engine.
 
 A consumer must not stop the calibration. If numbers from the bus cause an error in a calculation,
 the error is counted and this consumer restarts. The consumer sends *not available* until it has a
@@ -38,8 +38,8 @@ _RANK = {channel: rank for rank, channel in enumerate(ORDER)}
 
 
 class Consumer(Protocol):
-    """Interface of a calculation that receives samples and returns frames. It has no I/O and reads
-    no clock."""
+    """Interface of a calculation that receives samples and returns frames. A consumer has no I/O
+    and reads no clock."""
 
     name: str
     """Name of the consumer, and key of its result."""

@@ -1,5 +1,5 @@
-"""The existing consumers: attitude and direction of travel. They are created if the configuration
-enables them."""
+"""The existing consumers: attitude and direction of travel. A consumer is created if the
+configuration enables it."""
 
 from __future__ import annotations
 
@@ -157,8 +157,9 @@ class AttitudeConsumer:
         self._saved_check = CheckResult.from_saved(saved)
 
     def mounted(self, estimate: MountEstimate) -> None:
-        """Store the standard deviations of the mount's angles. They are part of the uncertainty of
-        the attitude. When a doubted mount is good again, the attitude restarts in the new axes.
+        """Store the standard deviations of the mount's angles. These deviations are part of the
+        uncertainty of the attitude. When a doubted mount is good again, the attitude restarts in
+        the new axes.
         """
         if self._mount_state in BAD and estimate.state not in BAD:
             self.begin_anew()

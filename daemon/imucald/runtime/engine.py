@@ -1,5 +1,5 @@
-"""The engine processes received frames and returns the frames to send. It combines router, pipeline
-and output. It has no I/O and reads no clock.
+"""The engine processes received frames and returns the frames to send. The engine combines router,
+pipeline and output. The engine has no I/O and reads no clock.
 
 The live daemon passes frames one by one (`frame`), and replay passes chunks of columns (`columns`).
 Both methods give the same frames in the same order, unless a clock was set back by less than a

@@ -90,7 +90,7 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
     if targets is not None:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):
             if s >= limit:
-                text = f"{math.degrees(s):.3g} deg about {axis} is too vague for a usable mount"
+                text = f"{math.degrees(s):.3g} deg about {axis} is too uncertain for a usable mount"
                 better = f"it must be below {math.degrees(limit):.3g} deg"
                 raise EstimateError(f"{text}: {better}, or let the daemon find the mount")
         if (np.hypot(std, BETWEEN_DRIVES_STD) < targets.fine).all():

@@ -32,7 +32,7 @@ ALARMS = {
 """Texts of the alarms, by the names in `Health`."""
 
 PASSING = frozenset({"input_rejected", "frames_lost"})
-"""Alarms that also occur on a good bus. They are reported, but do not count as a fault."""
+"""Alarms that also occur on a good bus. These alarms are reported, but do not count as a fault."""
 
 
 STARTING_S = 2.0

@@ -1,4 +1,5 @@
-"""The pipeline converts time-stamped samples to corrections. It opens no files and reads no clock.
+"""The pipeline converts time-stamped samples to corrections. The pipeline opens no files and reads
+no clock.
 
 Samples are collected in ticks. At the end of each tick, the estimator processes the tick and
 returns the correction for the next tick. The live daemon adds samples one by one (`add_sample`);
@@ -314,9 +315,7 @@ class Pipeline:
     # both ----------------------------------------------------------------------------------
 
     def snapshots_due(self, first: int) -> int:
-        """Return the number of snapshots that became due while tick `first` and later ones were
-        open.
-        """
+        """Return the number of snapshots that became due since tick `first` was open."""
         return self.k // self.status_ticks - first // self.status_ticks
 
     def _close(

@@ -114,8 +114,8 @@ def progress_dict(estimate: MountEstimate) -> dict[str, Any] | None:
 
 def correction_dict(estimate: MountEstimate) -> dict[str, Any] | None:
     """Return the correction: matrices and offsets of accelerometer and gyroscope, and the
-    deviations of the corrected samples. None before there is a correction. The values are those of
-    the estimate; the applied correction follows the estimate in small steps from tick to tick.
+    deviations of the corrected samples. None before there is a correction. The values belong to the
+    estimate. The applied correction follows the estimate in small steps from tick to tick.
     """
     found, sent = estimate.correction, estimate.sent
     if found is None:

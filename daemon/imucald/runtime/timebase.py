@@ -1,10 +1,10 @@
 """Convert recorded or received time stamps to stream time: seconds from the first configured frame,
 never decreasing.
 
-Time stamps are wall-clock times. They may be slightly out of order, stand still, or jump when a
-person sets the clock. In a slightly disordered log, stream time stands still until the stamps
-increase again. A jump or a long hole begins a new segment at the next tick, and all parts that
-compare values over time are informed. A hole lasts at most `FORWARD_STEP` of stream time. The
+Time stamps are wall-clock times. Time stamps may be slightly out of order, stand still, or jump
+when a person sets the clock. In a slightly disordered log, stream time stands still until the
+stamps increase again. A jump or a long hole begins a new segment at the next tick, and all parts
+that compare values over time are informed. A hole lasts at most `FORWARD_STEP` of stream time. The
 stamps of a live bus are in order, so a small step back is detected too, and stream time continues.
 A jump forward to stamps that were already reached is not a hole: in a shuffled log, such a jump
 takes one tick, while a hole takes a hundred ticks. All holes together last at most `HOLE_SHARE`

@@ -80,7 +80,7 @@ def understood(path: Path | None) -> Iterator[None]:
 
 def _foreign(path: Path | None, why: str = "") -> LinkError:
     return LinkError(
-        f"{path or 'status'}: the answer is not that of an imucald daemon{why}; name the status "
+        f"{path or 'status'}: the answer is not from an imucald daemon{why}; name the status "
         "socket of the daemon (--socket PATH)"
     )
 

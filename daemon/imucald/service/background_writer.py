@@ -95,8 +95,8 @@ class StateWriter(Generic[Content]):
         return done
 
     def report(self) -> None:
-        """Log once that saving fails, and once that saving works again. The main loop calls
-        this."""
+        """Log once that saving fails, and once that saving works again. The main loop calls this
+        method."""
         error = self.last_error
         if error != self._reported:
             self._reported = error

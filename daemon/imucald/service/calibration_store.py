@@ -1,7 +1,7 @@
 """Saved calibration: decide when it is saved, and which saved parts are used at a start.
 
-A disk may take seconds to confirm a write. The main loop must not wait for this, so a thread writes
-(`background_writer`).
+A disk may take seconds to confirm a write. The main loop must not wait for the disk, so a thread
+writes (`background_writer`).
 """
 
 from __future__ import annotations
@@ -132,7 +132,8 @@ class CalibrationStore:
             return estimator
         if saved is None:
             self._say(
-                f"no saved state in {self.store.folder}; the calibration starts from nothing", INFO
+                f"no saved state in {self.store.folder}; the calibration starts without a mount",
+                INFO,
             )
             return estimator
         try:
@@ -300,7 +301,7 @@ class CalibrationStore:
         self.save_now(estimator, driven_s)
         if not self.writer.close(STOP_WAIT_S) and self.store.is_forgotten:
             self._say(
-                "the disk did not write the state in time; the state before it is still saved",
+                "the disk did not write the state in time; the previous state is still saved",
                 WARNING,
             )
         self._report_not_forgotten()

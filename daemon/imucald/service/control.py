@@ -1,8 +1,9 @@
 """The control socket: orders from root to a running daemon, one JSON line each.
 
-The orders are ``{"order": "reset"}``, ``hold``, ``release``, and ``set-mount`` with a ``mount`` as
-in the configuration's `calibration: mount`. The answer is one JSON line: ``{"done": TEXT}`` or
-``{"error": TEXT}``. Only root and the daemon's own user may give orders.
+The orders are ``{"order": "reset"}``, ``hold``, ``release`` and ``set-mount``. The order
+``set-mount`` has a key ``mount`` with the same content as `calibration: mount` in the
+configuration. The answer is one JSON line: ``{"done": TEXT}`` or ``{"error": TEXT}``. Only root and
+the daemon's own user may give orders.
 """
 
 from __future__ import annotations

@@ -72,9 +72,9 @@ class FolderLock:
         )
 
     def renew(self) -> bool:
-        """Lock again if another folder now has the same path. Return whether this was necessary.
-        Raises the errors of the constructor; FolderInUseError means that another process was
-        faster.
+        """Lock again if another folder now has the same path. Return whether a new lock was
+        necessary. Raises the errors of the constructor; FolderInUseError means that another process
+        was faster.
         """
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(self._path.stat(), os.fstat(self._folder)):

@@ -111,7 +111,7 @@ class Journal:
             return False
         self._due[kind] = (due + SELDOM_S, 0)
         self.say(
-            text + (f" ({counted(untold, 'such line')} left out before)" if untold else ""),
+            text + (f" ({counted(untold, 'such line')} omitted before)" if untold else ""),
             priority,
         )
         return True

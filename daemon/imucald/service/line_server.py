@@ -98,13 +98,14 @@ class LineServer:
         except OSError as error:
             self._socket.close()
             reason = error.strerror or str(error)
-            raise LinkError(f"socket {path}: {reason}; name another one with {option}") from None
+            raise LinkError(f"socket {path}: {reason}; name another socket with {option}") from None
         self._socket.setblocking(False)
 
     def poll(self) -> None:
         """Serve the clients that wait.
 
-        The call never blocks and never raises an error, whatever a client does.
+        The call never blocks and never raises an error. The behaviour of clients does not change
+        this property.
         """
         with contextlib.suppress(OSError):
             for _ in range(ACCEPTED_MAX):

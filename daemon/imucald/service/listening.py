@@ -34,7 +34,8 @@ def listening_at(address: str) -> socket.socket:
 
 
 class ServingProcess:
-    """A forked process that serves a socket. It ends when the parent process ends for any reason.
+    """A forked process that serves a socket. The forked process ends when its parent process ends,
+    for any reason.
 
     serve: function that runs in the forked process forever. The object must be created before any
     thread is started.

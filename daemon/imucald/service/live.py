@@ -32,8 +32,8 @@ delivery of any frame."""
 CONFLICT_S = 10.0
 """Time for which another sender of our ids is reported [s]."""
 STRIDE = 16
-"""Number of frames handled between two readings of the clock. They take 1.3 ms natively and 80 ms
-under emulation."""
+"""Number of frames handled between two readings of the clock. Handling this number of frames takes
+1.3 ms natively and 80 ms under emulation."""
 MAX_AGE_S = 2.0 * MAX_HOLD
 """A frame is not corrected if it has waited for longer than this [s]. The age is twice the time
 that a corrected frame may wait to be sent, and twice `WAIT_S`. A loop that is fast enough has read

@@ -49,9 +49,9 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     yield "state", "gauge", "1 for the present state of the mount calibration.", list(states)
     yield "quality", "gauge", "Quality of the corrected frames.", [(none, status["quality"])]
     flows = [(none, int(flow(status).kind is FlowKind.GOOD))]
-    about = "1 while corrected frames flow, marked restored, usable or fine."
+    about = "1 while corrected frames are sent with quality restored, usable or fine."
     yield "corrected_frames_flow", "gauge", about, list(flows)
-    yield "held", "gauge", "1 while nothing is learnt.", [(none, int(status["held"]))]
+    yield "held", "gauge", "1 while the mount is held.", [(none, int(status["held"]))]
     alarms = [({"alarm": name}, int(status["health"][name])) for name in ALARMS]
     yield "alarm", "gauge", "1 while an alarm of the health frame is on.", list(alarms)
     angles = [({"angle": a}, mount[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")]
@@ -78,7 +78,7 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     failures = [(none, saved["failures"])]
     yield "state_save_failures_total", "counter", "Number of failed saves of the state.", failures
     sent = [(none, status["frames_given_out"])]
-    yield "frames_given_out_total", "counter", "Frames handed to the bus.", sent
+    yield "frames_given_out_total", "counter", "Frames sent to the bus.", sent
     yield "uptime_seconds", "gauge", "Time since the start.", [(none, status["uptime_s"])]
     yield "cpu_seconds_total", "counter", "Processor time.", [(none, process["cpu_s"])]
     yield "resident_memory_bytes", "gauge", "Memory in use.", [(none, process["rss_bytes"])]

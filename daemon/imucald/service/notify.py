@@ -27,8 +27,8 @@ FEEDS_PER_TIMEOUT = 4
 class Notifier:
     """Sends messages to the service manager.
 
-    environment: environment variables that name the socket and the watchdog (default: those of this
-    process).
+    environment: environment variables that name the socket and the watchdog (default: the
+    environment of this process).
     """
 
     def __init__(
@@ -112,8 +112,8 @@ def start_count_file(environment: Mapping[str, str]) -> Path | None:
 
 
 def end_count(path: Path | None) -> None:
-    """Reset the count in the file. This is done at an orderly end, and at an error that another
-    start would not cure, because both are not part of a restart loop.
+    """Reset the count in the file. The function is called at an orderly end, and at an error that
+    another start would not cure. Neither is part of a restart loop.
     """
     if path is not None:
         # The file is overwritten in place, as the unit does: on a disk that has become full, no new

@@ -1,5 +1,5 @@
-"""Parts of a service that depend on its configuration. They are created at the start and at each
-reload.
+"""Parts of a service that depend on its configuration. The parts are created at the start and at
+each reload.
 
 A reload replaces all parts or none: after a failure, the running parts stay unchanged. This module
 also contains the functions that continue parts after a reload, and the functions for the sensor
@@ -62,7 +62,7 @@ class UdsDiagnostics(Struct, frozen=True):
     """The diagnostics (UDS) of a service.
 
     uds: server for testers on the bus; None if switched off. dtc_store, keys: trouble codes and
-    wrong keys, saved on the disk. They stay even while diagnostics are switched off.
+    wrong keys, saved on the disk. Both stores remain while diagnostics are switched off.
     """
 
     uds: BusUds | None = None
@@ -98,7 +98,8 @@ def diagnostics_for(
     say: Say,
     clock: Callable[[], float],
 ) -> UdsDiagnostics:
-    """Return the diagnostics of a configuration. They continue with the data of `before`.
+    """Return the diagnostics of a configuration. The diagnostics continue with the data of
+    `before`.
 
     folder: folder of the saved state. Raises ConfigError with the place of a mistake.
     """
@@ -155,7 +156,7 @@ class PartsMaker:
     def read(self) -> tuple[LoadedConfig, Engine]:
         """Read the configuration and build its engine.
 
-        The call may take long. It opens neither the bus nor the saved state.
+        The call may take long. The call opens neither the bus nor the saved state.
 
         Raises ConfigError.
         """
@@ -207,8 +208,8 @@ class PartsMaker:
     def _estimator_after(
         self, parts: Parts, loaded: LoadedConfig, engine: Engine, same_bus: bool
     ) -> tuple[MountEstimator, CalibrationStore | None]:
-        """Return the running estimator if the new configuration allows it. Else return a new
-        estimator that starts with the present mount. Also return the store that saves the
+        """Return the running estimator if the new configuration allows it. If not, return a new
+        estimator that starts with the present mount. The second result is the store that saves the
         estimator.
         """
         running, store = parts.engine, parts.calibration_store
@@ -327,8 +328,9 @@ def take_usual_signals(old: Engine, estimator: MountEstimator, new: Engine) -> N
 
 
 def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator:
-    """Return the new estimator, started with the mount of the old estimator. A hold by an order
-    continues. A hold by the configuration follows the new configuration.
+    """Return the new estimator, started with the mount of the old estimator. If an order holds the
+    mount, the hold continues. If the configuration held the mount, the new configuration decides
+    about the hold.
     """
     stored = mount_in_force(old)
     if stored is None:

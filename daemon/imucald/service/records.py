@@ -4,9 +4,9 @@ A record is a JSON object in its own files. The first line of a file contains ki
 and SHA-256. A save writes a new file, forces it to the disk, renames it, and forces the folder to
 the disk. At every instant, the complete old file or the complete new file exists. With two slots,
 two files (``.0`` and ``.1``) alternate, so the previous record remains if the newest record is
-damaged. A file is accepted only if length and checksum are right, the version is known, the owner
-is this daemon's vehicle and sensor, and the content is valid. A file that is not accepted is
-renamed and never deleted. The new name contains the reason.
+damaged. A file is accepted only if length and checksum are right, the version is known, the file
+belongs to this daemon's vehicle and sensor, and the content is valid. A file that is not accepted
+is renamed and never deleted. The new name contains the reason.
 
 Files are used instead of a database for two reasons. A reset must work at once, even if the disk is
 full or a save hangs. Damage to one file must not affect other files. Renaming a file meets both
@@ -273,7 +273,7 @@ def _set_aside(path: Path, reason: _RefusedError) -> str:
 
 
 class KeptRecord(Generic[Content]):
-    """A record with one slot. It is read at the start and written by its own thread.
+    """A record with one slot. The record is read at the start, and a separate thread writes it.
 
     path: path of the file; with None, nothing is read or saved. kind, read: see `RecordFiles`.
     title: name in the log. say: function that takes a log line and its priority.

@@ -24,9 +24,9 @@ class Reloading(Generic[Read]):
 
     A failure is reported, and the running parts stay unchanged.
 
-    read: function that reads and parses the configuration. It may take long, and it does not change
-    the running parts. take_over: function that replaces all running parts by the new parts, or none
-    of them. clock: monotonic [s].
+    read: function that reads and parses the configuration. The function may take long, and it does
+    not change the running parts. take_over: function that replaces all running parts by the new
+    parts, or none of them. clock: monotonic [s].
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """The service around the main loop: saved state, systemd, status, reload.
 
-The main loop runs all these tasks. It runs them at least every `CHORE_S`, with or without bus
+The main loop runs all these tasks. The tasks run at least every `CHORE_S`, with or without bus
 traffic. The messages to systemd's watchdog therefore show that the loop that corrects frames still
 runs.
 """
@@ -387,8 +387,8 @@ class Service:
         return found | {"flow": asdict(flow(found))}
 
     def _flow(self) -> Flow:
-        """Return the present kind of the corrected frames (`runtime.flow`). This is faster than
-        computing the whole status."""
+        """Return the present kind of the corrected frames (`runtime.flow`). The method is faster
+        than computing the whole status."""
         pipeline = self.engine.pipeline
         return flow(
             {

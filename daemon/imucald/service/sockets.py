@@ -51,7 +51,7 @@ class Sockets:
             journal.say(f"{error}; continuing without it", WARNING)
 
     def poll_status(self) -> None:
-        """Serve the clients of the status socket. This is also called during a long batch of
+        """Serve the clients of the status socket. The method is also called during a long batch of
         frames."""
         if self.status is not None:
             self.status.poll()

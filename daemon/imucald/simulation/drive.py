@@ -31,7 +31,7 @@ from imucald.simulation.vehicle_signals import VehicleSignals
 
 MIN_DURATION_S = 1.0
 MOVING_MPS = 1.0
-"""Speed above which a mean 'while driving' uses a time [m/s]."""
+"""Speed above which a time counts as driving, for means 'while driving' [m/s]."""
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,8 @@ class Roughness:
 
 
 def slope_distance(speed: Array, rate: float) -> Array:
-    """Return the distance (N,) along which slopes are drawn [m]. On fast roads, it is shorter than
-    the driven distance.
+    """Return the distance (N,) along which slopes are drawn [m]. On fast roads, this distance is
+    shorter than the driven distance.
 
     Slopes of fast roads are longer, so that the vertical acceleration (v^2 times the change of
     slope) stays within the limits of road design.

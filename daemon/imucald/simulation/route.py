@@ -19,7 +19,7 @@ from imucald.simulation.filters import generator
 FINE_STEP_M = 0.5
 COARSE_STEP_M = 1.0
 COARSE_FROM_MPS = 14.0
-"""Speed below which nodes are 0.5 m apart [m/s]. Above it, nodes are 1 m apart."""
+"""Speed below which nodes are 0.5 m apart [m/s]. Above this speed, nodes are 1 m apart."""
 LANE_WIDTH_M = 3.5
 MIN_STOP_S = 1.5
 """Shortest duration of a stop [s]. In a shorter stop, the speed would not reach zero, because the

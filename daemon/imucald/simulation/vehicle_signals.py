@@ -162,7 +162,8 @@ class VehicleSignals:
         return Series(t, values[self._sent("wheel_speeds", wheels)])
 
     def _grip(self) -> list[Array | float]:
-        """Return the factor on each wheel's speed: 1, and less in segments with wheel slip."""
+        """Return the factor on each wheel's speed: 1, and less than 1 in segments with wheel
+        slip."""
         wheels, t = self._model.wheel_speeds, self._driving.t
         if not wheels.slip_events:
             return [1.0] * 4

@@ -134,7 +134,7 @@ def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:
 
 
 def _physical(conversion: Conversion, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert values in SI to physical values of the database. This is the inverse of
+    """Convert values in SI to physical values of the database. The function is the inverse of
     `conversion.Conversion`."""
     if conversion.unit.dimension == "flag":
         return _flag_values(conversion, values)

@@ -234,8 +234,8 @@ class TravelDirection:
     def _level_heading(self, cycle: StepCycle) -> float | None:
         """Return the heading of the cycle's level frame, clockwise from north [rad].
 
-        The heading comes from the mean magnetic field in this frame. Without a magnetic field, it
-        comes from the newest heading of the terminal's y axis.
+        The heading comes from the mean magnetic field in this frame. Without a magnetic field, the
+        heading comes from the newest heading of the terminal's y axis.
         """
         mean = cycle.accel.mean(axis=0)
         field = self._mean_field(cycle)

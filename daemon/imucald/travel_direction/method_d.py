@@ -52,9 +52,9 @@ def tilt_heading(pitch: float, roll: float, compass: float) -> float:
 def levelling_angles(mean: Array) -> tuple[float, float]:
     """Return a and b of the projection that rotates the mean (3,) to +z (*reconstructed*).
 
-    [0093] calls them the angles of the y axis and the x axis. With those angles, the projection
-    does not level: the error is 28 deg at a lean of 20 deg. With the angles of this function it
-    does: b makes (4) zero, then a makes (3) zero.
+    [0093] of the publication uses the angles of the y axis and the x axis instead. With the angles
+    of the publication, the projection does not level: the error is 28 deg at a lean of 20 deg. With
+    the angles of this function, the projection levels: b makes (4) zero, then a makes (3) zero.
     """
     x, y, z = (float(c) for c in mean)
     return math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)

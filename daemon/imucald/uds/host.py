@@ -91,8 +91,8 @@ class Host(Protocol):
         ...
 
     def return_to_former(self) -> bool:
-        """Use the former calibration again. Return False if this is not possible because the
-        settings have changed."""
+        """Use the former calibration again. Return False if the settings have changed, so that the
+        former calibration cannot be used."""
         ...
 
     def accept_calibration(self) -> None:

@@ -39,15 +39,15 @@ CanFrame = tuple[int, bytes]
 """Id (with the flag for 29 bits) and payload of a frame to send."""
 
 Handler = Callable[[bytes, bool], bytes | None]
-"""Function that answers a request. Arguments: the request, and whether it was sent to all nodes. It
-returns a response or None."""
+"""Function that answers a request. Arguments: the request, and whether it was sent to all nodes.
+The function returns a response or None."""
 
 
 def import_isotp() -> Any:
     """Import can-isotp without python-can. can-isotp needs python-can only for its own buses.
 
-    This saves 10 MiB (a daemon may use 50 MiB) and 45 ms. Raises ImportError if can-isotp is not
-    installed.
+    The partial import saves 10 MiB (a daemon may use 50 MiB) and 45 ms. Raises ImportError if
+    can-isotp is not installed.
     """
     with standing_in("can", None):
         import isotp  # noqa: PLC0415

@@ -1,4 +1,5 @@
-"""CSV: one file per table, units in the column names. `drive.result.json` holds all other data."""
+"""CSV: one file per table, units in the column names. `drive.result.json` contains all other
+data."""
 
 from __future__ import annotations
 

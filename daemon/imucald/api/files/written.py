@@ -43,7 +43,7 @@ def require_format(path: Path) -> None:
 
 
 def chosen(tables: Tables, quantities: Sequence[str] | str | None) -> Tables:
-    """Return the selected tables; None selects all tables except those of raw samples."""
+    """Return the selected tables. None selects all tables except the tables of raw samples."""
     if quantities is None:
         return {name: cs for name, cs in tables.items() if not name.startswith(RAW)}
     asked = [quantities] if isinstance(quantities, str) else list(quantities)

@@ -1,8 +1,8 @@
 """Find the place in an ARXML file where the parser stopped, and give a remedy.
 
 The parser assumes that all elements required by the standard are present. If one is missing, it
-raises an error of Python that does not name the element. The traceback of this error still holds
-the element that was being parsed.
+raises an error of Python that does not name the element. The traceback of this error contains the
+element that was being parsed.
 """
 
 from __future__ import annotations

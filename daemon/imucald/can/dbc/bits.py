@@ -144,6 +144,6 @@ def write_column(out: Columns, field: Field, values: NDArray[np.uint64]) -> None
 
 
 def signed_column(values: NDArray[np.uint64], length: int) -> NDArray[np.int64]:
-    """Convert unsigned values (N,) of `length` bits to signed ones (two's complement)."""
+    """Convert unsigned values (N,) of `length` bits to signed values (two's complement)."""
     left = np.int64(WORD_BITS - length)
     return (values.view(np.int64) << left) >> left

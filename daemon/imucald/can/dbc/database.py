@@ -95,8 +95,8 @@ def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
     """Read one or several database files of one bus.
 
     Raises DatabaseError with file and reason for a file that cannot be read. DatabaseError is also
-    raised if two files describe the same name differently. Unless `shared_ids` is true, the same
-    holds for identifiers.
+    raised if two files describe the same name differently. Unless `shared_ids` is true,
+    DatabaseError is also raised if two files describe the same identifier differently.
     """
     messages: list[Message] = []
     ambiguous: dict[str, str] = {}

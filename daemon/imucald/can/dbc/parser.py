@@ -100,9 +100,9 @@ def _reason_of_kcd(text: str) -> str:
 def _cantools() -> Any:
     """Import `cantools.database` without the rest of cantools, which would load python-can.
 
-    This saves 12 MiB (a daemon may use 50 MiB) and 45 ms. A later import of cantools loads the
-    whole package. The warnings of cantools about duplicate names are switched off, because this
-    module reports duplicate names with a remedy.
+    The partial import saves 12 MiB (a daemon may use 50 MiB) and 45 ms. A later import of cantools
+    loads the whole package. The warnings of cantools about duplicate names are switched off,
+    because this module reports duplicate names with a remedy.
     """
     logging.getLogger("cantools").setLevel(logging.ERROR)
     spec = importlib.util.find_spec("cantools")

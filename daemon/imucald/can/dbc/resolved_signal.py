@@ -2,9 +2,9 @@
 
 The scaling `raw * scale + offset` gives the same results as cantools, for one number and for
 columns. cantools computes in integers if scale and offset are integers and the signal is not a
-float, else in doubles. The result here is always a double. If a double holds every product exactly,
-this module computes in doubles. For the few signals of 54 to 64 bits where a double would round, it
-computes in Python's integers, also for columns.
+float, else in doubles. The result here is always a double. If a double represents every product
+exactly, this module computes in doubles. For the few signals of 54 to 64 bits where a double would
+round, it computes in Python's integers, also for columns.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Scaling(Struct, frozen=True):
 
 
 class FloatScaling(Scaling, frozen=True):
-    """Scaling of floats. The values may overflow or be NaN; the caller checks this."""
+    """Scaling of floats. The values may overflow or be NaN; the caller checks the values."""
 
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """See `Scaling`."""
@@ -115,7 +115,7 @@ def scaling_of(signal: Signal, place: str) -> Scaling:
 
 
 def raw_limits(signal: Signal) -> tuple[int, int]:
-    """Lowest and highest raw integer that the signal's bits can hold."""
+    """Return the lowest and the highest raw integer that the signal's bits can represent."""
     if signal.is_signed:
         return -(1 << signal.length - 1), (1 << signal.length - 1) - 1
     return 0, (1 << signal.length) - 1

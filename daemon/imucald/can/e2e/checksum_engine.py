@@ -21,11 +21,11 @@ from imucald.core.errors import ConfigError
 class ChecksumSpec(Struct, frozen=True):
     """The position of a checksum and the bytes that it covers.
 
-    `size`: number of covered bytes; in a longer frame, later bytes are not covered.
-    `position`: first byte of the checksum; `width`: 1 or 2 bytes, in `byte_order`. `polynomial`:
-    0 means XOR. `prefixes`, `suffixes`: bytes before and after the payload; either one entry, or
-    one entry per counter value (`counter` is then the position of the counter). `fixed`: a field
-    that must hold a fixed value (the nibble of the data id in profiles 1 and 11).
+    `size`: number of covered bytes; in a longer frame, later bytes are not covered. `position`:
+    first byte of the checksum; `width`: 1 or 2 bytes, in `byte_order`. `polynomial`: 0 means XOR.
+    `prefixes`, `suffixes`: bytes before and after the payload; either one entry, or one entry per
+    counter value (`counter` is then the position of the counter). `fixed`: a field that must have a
+    fixed value (the nibble of the data id in profiles 1 and 11).
     """
 
     size: int

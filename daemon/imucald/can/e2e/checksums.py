@@ -5,8 +5,8 @@ To add a kind (another CRC-8 or CRC-16), change only this file: add a function t
 
 Source: AUTOSAR PRS "E2E Protocol Specification" (profiles 1, 2, 5, 11) and SWS "CRC Library".
 Profiles 1 and 11 start their CRC-8 SAE J1850 at 0 and do not invert it. The PRS calls the routine
-with the XOR value as start value and inverts the result again. This keeps the profile compatible
-with its first release.
+with the XOR value as start value and inverts the result again. In this way the profile stays
+compatible with its first release.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ ONE_BYTE_KINDS: Mapping[str, SignalChecksum] = {
 """Kinds of one byte over identifier and payload. imucald's own frames may use them."""
 
 NO_CHECKSUM = "none"
-"""The name for no checksum."""
+"""Kind in configurations for messages without a checksum."""
 
 
 def _one_id(options: ChecksumOptions) -> int:

@@ -1,26 +1,25 @@
-"""Check received protected frames: length, checksum, counter, time.
-
-A frame that fails is dropped completely, and one reason is counted. After a fault, the next
-`recovery` good frames are dropped too ("untrusted"). Single frames (`check`) and columns
-(`check_columns`) give the same reasons and the same state, in any mixture. Problems of a single
-signal (not available, implausible) are checked in `quantities`.
+"""Check received protected frames: length, checksum, counter, time. A frame that fails is dropped
+completely, and one reason is counted. After a fault, the next `recovery` good frames are dropped
+too ("untrusted"). Single frames (`check`) and columns (`check_columns`) give the same reasons and
+the same state, in any mixture. Problems of a single signal (not available, implausible) are checked
+in `quantities`.
 
 Order of the checks:
 
-1. "short_frame". 2. "long_frame", only with a checksum: such a frame has the length of its profile,
-or the next length that CAN FD can carry. 3. "checksum" (with the data id). 4. "counter_invalid".
-After a failure of 1 to 4, the counter of the frame is not used. 5. The counter compared with the
-last good frame: "counter_repeated" (a stuck counter or a frame sent again), "counter_reversed" (an
-old frame), "counter_jump". 6. "too_early": with its cycle time, the sender cannot have sent another
-frame yet.
+1. "short_frame". 2. "long_frame", only with a checksum: the frame is longer than the protected
+length. For CAN FD, the limit is the next possible frame length. 3. "checksum" (with the data id).
+4. "counter_invalid". After a failure of 1 to 4, the counter of the frame is not used. 5. The
+counter compared with the last good frame: "counter_repeated" (a stuck counter or a frame sent
+again), "counter_reversed" (an old frame), "counter_jump". 6. "too_early": with its cycle time, the
+sender cannot have sent another frame yet.
 
 Two frames with the same counter and different data show two senders. The frames do not show which
 sender is the true one, so all frames of the next `HELD_S` are dropped ("untrusted"). The first
-frame of the false sender was already used; only authentication would prevent this. A false frame is
-accepted from `EARLIEST` cycles after a true frame, and the next true frame follows within `1 -
-EARLIEST` cycles. A single sender with a stuck counter repeats the counter after a whole cycle. The
-limit between the two cases is the mean of both times. If an older frame comes between the two
-frames, the limit is `WAITS` cycles.
+frame of the false sender was already used; only authentication would prevent the use of this frame.
+A false frame is accepted from `EARLIEST` cycles after a true frame, and the next true frame follows
+within `1 - EARLIEST` cycles. A single sender with a stuck counter repeats the counter after a whole
+cycle. The limit between the two cases is the mean of both times. If an older frame comes between
+the two frames, the limit is `WAITS` cycles.
 
 A lost frame is not a fault. If the time is long enough for a step of the counter (see `schedule`),
 the step is counted as lost frames, unless a largest step is stated. Frames dropped for a wrong
@@ -29,7 +28,7 @@ counter may start at any value.
 
 "doubled" is checked before the counter: the frame is equal to the previous one, in every bit and in
 the time stamp. A bus cannot carry two frames at the same time, so a gateway or a logger has made
-the copy. It is dropped and does not count as a fault of the sender. A third copy is
+the copy. The copy is dropped and does not count as a fault of the sender. A third copy is
 "counter_repeated". Copies are detected only in messages with a counter; without a counter, the next
 frame may have the same content.
 """

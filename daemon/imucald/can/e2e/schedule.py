@@ -47,8 +47,9 @@ MOST_EARLY = 50
 """The cycle is learnt again if early frames exceed other frames by this number times the number of
 counter values. Bursts from another sender that uses the same counter do not change the cycle."""
 OWN, WAITS = 3, 1.5
-"""OWN: the cycle has changed if the sender's own early frames exceed foreign ones by this number.
-WAITS: after a foreign early frame, the sender's own frame arrives within this number of cycles."""
+"""OWN: the cycle has changed if the number of early frames from the sender itself exceeds the
+number from other senders by this. WAITS: after a foreign early frame, the sender's own frame
+arrives within this number of cycles."""
 LONGER, MOST_TRIALS = 4.0, 6
 """LONGER: each change of the cycle multiplies the duration of the next trial by this factor.
 MOST_TRIALS: largest number of times that the factor is applied."""

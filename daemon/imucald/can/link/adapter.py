@@ -93,8 +93,8 @@ MULTICAST = "udp_multicast"
 IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
 """Constants of linux/in.h and linux/in6.h that Python does not define."""
 MOST_WAITING = 10_000
-"""Largest number of datagrams that are dropped at the start. A socket's receive buffer holds fewer
-datagrams at its start (208 KiB, at least 256 B per datagram).
+"""Largest number of datagrams that are dropped at the start. A socket's receive buffer contains
+fewer datagrams at its start (208 KiB, at least 256 B per datagram).
 """
 
 ECHOING = (MULTICAST,)
@@ -104,8 +104,8 @@ _IN_MEMORY = ("virtual",)  # they have no filter; the link's is faster than pyth
 
 
 class Adapter:
-    """One open python-can bus. The failures of an adapter are raised as OSError, like those of a
-    socket.
+    """One open python-can bus. The failures of an adapter are raised as OSError, like the failures
+    of a socket.
 
     Raises LinkError if python-can does not know the interface or its options. Raises OSError if the
     device cannot be opened now.

@@ -61,8 +61,8 @@ class LinkState(enum.StrEnum):
 class LinkEvent(Struct, frozen=True):
     """An event for the log. `kind` is for programs, `text` is for people.
 
-    Kinds: the new value of `LinkState` after a change; conflict, lost, queue_full, rejected (these
-    are reported with a limited rate).
+    Kinds: the new value of `LinkState` after a change; conflict, lost, queue_full, rejected (the
+    last four kinds are reported at a limited rate).
     """
 
     kind: str
@@ -117,7 +117,8 @@ class Announcer:
             self._on_event(LinkEvent(kind, text))
 
     def announce_seldom(self, kind: str, text: str) -> None:
-        """Pass on the first event at once, later ones at most every `EVENT_PERIOD` with a count."""
+        """Pass on the first event at once. Pass on later events of this kind at most every
+        `EVENT_PERIOD`, with their number."""
         last, unannounced = self._last.get(kind, (-math.inf, 0))
         now = self._clock()
         if now - last < EVENT_PERIOD:
@@ -193,8 +194,8 @@ CHECK_PERIOD = 0.2
 """Period of the check that the interface of a silent bus still exists and is up [s]."""
 
 RECEIVE_BUFFER = 4 << 20
-"""Requested size of the kernel's receive buffer [bytes]. With overhead it holds about 4,000 frames,
-some seconds of a busy bus."""
+"""Requested size of the kernel's receive buffer [bytes]. With its overhead, a buffer of this size
+holds about 4,000 frames: some seconds of a busy bus."""
 
 FLUSH_PERIOD = 0.001
 """Pause between attempts to send while the send queue is full [s]."""
@@ -306,7 +307,7 @@ class Link:
         return []
 
     def _sorted(self, port: Port, frames: list[Frame]) -> list[Frame]:
-        """Return the wanted frames; count the others and report events for them."""
+        """Return the wanted frames. Other frames are counted, and events for them are reported."""
         if self.state is LinkState.DOWN:
             self._check(port)  # frames from before the loss may still arrive
         wanted = []

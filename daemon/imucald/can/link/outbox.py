@@ -52,7 +52,7 @@ class Outbox:
         return len(self._held)
 
     def send(self, port: SendingPort, can_id: int, data: bytes) -> None:
-        """Send a frame after the held frames, or hold it too."""
+        """Send a frame after the held frames. If it cannot be sent now, hold the frame too."""
         if self._held:
             self.flush(port)
         if self._held or not self._taken(port, can_id, data):

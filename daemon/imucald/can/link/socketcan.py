@@ -9,8 +9,8 @@ The code uses these facts about the kernel (net/can/raw.c). If the interface goe
 gets ENETDOWN once and stays bound, so frames resume without action. If the interface is deleted,
 the socket gets ENODEV and is no longer bound. The socket then receives nothing, even if an
 interface of the same name is created. The error is reported before the waiting frames. The number
-of dropped frames would be reported only with the next frame. Therefore the waiting frames and the
-number of dropped frames are read when a socket is abandoned.
+of dropped frames would be reported only with the next frame. Therefore, before a socket is closed
+after such an error, its waiting frames and the number of dropped frames are read.
 """
 
 from __future__ import annotations
@@ -137,8 +137,8 @@ class SocketCan:
     def receive(self, timeout: float) -> list[Frame]:
         """Wait up to `timeout` [s] for a frame, then return all waiting frames (bounded).
 
-        Raises OSError if the interface is down or gone. The kernel reports this once. Frames that
-        were read in the same batch are returned first.
+        Raises OSError if the interface is down or gone. The kernel reports such an error once.
+        Frames that were read in the same batch are returned first.
         """
         if self._fault is not None:
             fault, self._fault = self._fault, None
@@ -229,8 +229,8 @@ class SocketCan:
 def packed_filters(matches: Sequence[IdMatch]) -> bytes:
     """Return the kernel's filter list for data frames with these ids. Without ids, no frame passes.
 
-    Remote frames carry no data and are excluded. With more ids than the kernel accepts, all frames
-    pass.
+    Remote frames contain no data, so they are excluded. With more ids than the kernel accepts, all
+    frames pass.
     """
     if len(matches) > MAX_FILTERS:
         return _FILTER.pack(0, 0)

@@ -1,6 +1,6 @@
 """Parse one line of a candump log strictly, and give a reason for each rejected line.
 
-The grammar is what ``candump -L`` writes (can-utils, lib.c and candump.c)::
+The grammar is the output format of ``candump -L`` (can-utils, lib.c and candump.c)::
 
     (1600000000.000000) can0 200#1300E1FF2B130000       classic frame, 0 to 8 bytes
     (1600000000.000000) can0 18FEF100#11223344          29-bit id: always eight digits
@@ -83,7 +83,8 @@ class Line(NamedTuple):
 
 
 def words_of(reason: str) -> str:
-    """Return the text of a reason of any log format."""
+    """Return the text for the name of a rejection reason. Reasons of all log formats are
+    accepted."""
     return (
         REASONS["negative_timestamp"]
         if reason == "negative_timestamp"

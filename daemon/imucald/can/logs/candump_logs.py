@@ -84,7 +84,7 @@ class CandumpParser:
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
         """Return the frame (or none) of a file's last line without newline.
 
-        The line counts only if it is complete. Otherwise it was cut.
+        The line is used only if it is complete. An incomplete line counts as cut.
         """
         return self._columns([self.judge(text, place, last=True)])
 
@@ -211,8 +211,8 @@ def _keep_freed_memory() -> None:
     """Make glibc keep freed memory for reuse, instead of returning it to the system each time.
 
     glibc sets its threshold to the largest block that was freed. The array here is never written,
-    so it costs no memory. Reading then takes less than half the time. Without glibc, this has no
-    effect.
+    so it costs no memory. Reading then takes less than half the time. Without glibc, the function
+    has no effect.
     """
     np.empty(KEPT_BYTES, np.uint8)
 

@@ -193,7 +193,7 @@ def _digits(number: NDArray[np.int64]) -> NDArray[np.uint8]:
 
 
 class _Form:
-    """Lines of frames of the same form. They differ only in their digits."""
+    """Lines of frames of the same form. These lines differ only in their digits."""
 
     def __init__(self, channel: bytes, id_digits: int, mark: bytes, length: int) -> None:
         self.size = _STAMP_BYTES + len(channel) + id_digits + len(mark) + 2 * length + 1

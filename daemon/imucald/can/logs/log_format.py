@@ -145,8 +145,8 @@ class LogFormat(Protocol):
     """A reader of one recording's files, which share filters, channels and statistics."""
 
     endings: ClassVar[tuple[str, ...]]
-    """Suffixes of file names in lower case, without ``.gz`` and similar ones. Endings are used if
-    the first bytes do not identify the format."""
+    """Suffixes of file names in lower case, without suffixes of compression such as ``.gz``.
+    Endings are used if the first bytes do not identify the format."""
 
     @staticmethod
     def begins(head: bytes) -> bool:

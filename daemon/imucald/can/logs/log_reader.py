@@ -75,10 +75,11 @@ Progress = Callable[[int, int | None], None]
 class LogReader:
     """Iterate over the wanted data frames of recorded logs, in recorded order.
 
-    Bad lines are skipped and counted by reason in `rejected`. `problems` has the first of them as
-    "file:line: reason". With strict, the first bad line raises LogError. A file always raises
-    LogError if it cannot be opened, is not a log, has time stamps that are not in seconds, or is
-    the same recording as an earlier file. Each iteration reads and counts from the start.
+    Bad lines are skipped and counted by reason in `rejected`. `problems` contains the first
+    rejections as "file:line: reason". With strict, the first bad line raises LogError. A file
+    always raises LogError if it cannot be opened, is not a log, has time stamps that are not in
+    seconds, or is the same recording as an earlier file. Each iteration reads and counts from the
+    start.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Captures of Wireshark and tcpdump (PCAP, PCAPNG) of a CAN interface, through dpkt.
 
 Link types: LINKTYPE_CAN_SOCKETCAN (one interface) and LINKTYPE_LINUX_SLL, SLL2 ("any"). A packet
-holds Linux's struct canfd_frame with the id in network byte order (tcpdump.org/linktypes). Some
+contains Linux's struct canfd_frame with the id in network byte order (tcpdump.org/linktypes). Some
 programs write the id in little-endian order. The reader tests which of the two orders gives valid
 ids in the first packets.
 """
@@ -64,7 +64,7 @@ class PcapReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """True if the first four bytes are those of a capture."""
+        """True if the first four bytes are the signature of a capture file."""
         return head[:4] == _PCAPNG or head[:4] in _PCAP
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:

@@ -45,7 +45,7 @@ SPACED_FORMATS: Final = (".asc", ".trc")
 
 LAST_BYTES: Final = 1024
 """Number of bytes read at the end of a file with spaces between data bytes. The last line is
-shorter than this."""
+shorter than this number."""
 
 MIN_TOKENS: Final = 6
 """Smallest number of words in a line before the first data byte."""
@@ -84,7 +84,7 @@ class PythonCanReader:
 
     @staticmethod
     def begins(head: bytes) -> bool:
-        """True if the first bytes are those of one of these formats."""
+        """True if the first bytes are the beginning of a file in one of these formats."""
         return any(begins.match(head) for begins in _BEGINNINGS.values())
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:

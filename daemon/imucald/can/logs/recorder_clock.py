@@ -43,7 +43,7 @@ SAME_ID_SHARE: Final = 0.25
 its run. A run is a sequence of frames that follow each other faster than a bus allows."""
 
 BACKLOG_S: Final = 2.0
-"""Longest traffic that a recorder may hold back and stamp with one time [s]."""
+"""Longest duration of bus traffic that a recorder may deliver late with a single time stamp [s]."""
 MIN_LOOPS: Final = 5
 """If the same step back occurs at least this number of times, the clock restarts."""
 LOOP_TOLERANCE: Final = 0.1
@@ -67,8 +67,8 @@ def by_the_clock(
 ) -> Iterator[FrameColumns]:
     """Yield a file's frames with the times at which they were sent, as far as known.
 
-    The corrections are reported in a note of the statistics. Raises LogError if no bus can carry so
-    many frames in the time of the stamps.
+    The corrections are reported in a note of the statistics. Raises LogError if no bus can transmit
+    so many frames in the time of the stamps.
     """
     bus, loop, bursts = _BusTime(log), None, None
     for chunk in chunks:

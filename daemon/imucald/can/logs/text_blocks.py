@@ -123,7 +123,8 @@ def is_read_once(path: Path | str) -> bool:
 
 
 class _Plain:
-    """Uncompressed bytes: first the bytes already read to find the format, then the rest."""
+    """A source of uncompressed bytes. The bytes that were already read to find the format are
+    returned first."""
 
     def __init__(self, source: ByteSource, head: bytes) -> None:
         self.bytes_read = len(head)

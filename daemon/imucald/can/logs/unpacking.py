@@ -114,7 +114,8 @@ class _Xz(_Inner):
 
 
 class _Zstd(_Inner):
-    """A Zstandard frame with the same interface. One call returns all output of its input."""
+    """A Zstandard frame with the interface of the other decompressors. One call returns all output
+    of its input."""
 
     def __init__(self) -> None:
         try:
@@ -307,7 +308,8 @@ def first_bytes(head: bytes, count: int) -> bytes:
 
 @contextlib.contextmanager
 def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
-    """Return a file (unpacked to a temporary file if compressed), and why it is cut, if so.
+    """Context that gives the path of an uncompressed file, and the reason if the file is cut, else
+    "". A compressed file is unpacked to a temporary file.
 
     Raises LogError if the file cannot be opened.
     """

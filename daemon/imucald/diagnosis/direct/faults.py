@@ -26,8 +26,8 @@ from imucald.motion.recorded_health import recorded_health
 LEAST_ROWS = 100
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 CHANCE = 0.01
-"""Chance of a falsely found end of a range or stuck value in one drive. It is divided among the
-sensors."""
+"""Chance of a falsely found end of a range or stuck value in one drive. This chance is divided
+among the sensors."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""

@@ -20,7 +20,7 @@ from imucald.diagnosis.signals import Mask
 
 LEAST_ROWS = 100
 CHANCE = 0.01
-"""Chance of a false finding in one drive. It is divided among the signals of the drive."""
+"""Chance of a false finding in one drive. This chance is divided among the signals of the drive."""
 RARE = 0.01
 """Largest share of a sensor's usual steps that may be as large as a jump."""
 PASSES_HALF = 0.25

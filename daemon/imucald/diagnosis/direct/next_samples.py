@@ -161,8 +161,9 @@ def follows(drives: Sequence[DriveSignals], stated: VehicleModel) -> Family:
 
 def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:
     """Return the names of the signals whose levels have the same spacing as in the drives of the
-    model file, up to a gain error. Signals without a grid in both are also included. A signal with
-    other levels, for example a rotated signal, has another rate of repeats."""
+    model file, up to a gain error. Signals without a grid in these drives and in the drives of the
+    model file are also included. A signal with other levels, for example a rotated signal, has
+    another rate of repeats."""
     same: set[str] = set()
     for drive in drives:
         for signal in signals_of(drive):

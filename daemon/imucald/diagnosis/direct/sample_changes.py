@@ -58,14 +58,14 @@ LEAST_CHANGES, LEAST_CODES, MOST_CODES = 30, 2, 1000
 BESIDE = np.array([1.0] * 6 + [0.0] * 5 + [1.0] * 6)
 """Weights of the neighbouring changes with which a change is compared: the third to the eighth
 change before it and after it. The two nearest changes on each side are not used, because a wrong
-value and a filter after it affect them."""
+value and a filter after the sensor affect these changes."""
 LEVELS = (4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """Sizes of a change as multiples of the rms of the neighbouring changes, in octaves. In normal
 noise, with the rms of twelve changes, one change in 500 exceeds the first size (Student's t
 distribution)."""
 ALONE_SHARE = 0.001
-"""Share of a signal's changes that must be jumps. Shocks and stones cause fewer jumps. The same
-share of frames may come twice without a fault (`faults`)."""
+"""Share of a signal's changes that must be jumps. Shocks and stones cause a smaller share of jumps.
+The same share of frames may come twice without a fault (`faults`)."""
 
 
 # against the file --------------------------------------------------------------------------------

@@ -34,8 +34,8 @@ FEW_OTHERS = 3
 CHANCE = 0.01
 """Chance of a false finding for each slow signal of a drive without faults."""
 PARTNER_SHARE = 0.5
-"""Share of their usual spread by which other signals must go on moving while a slow signal is
-stuck."""
+"""Smallest ratio of a related signal's spread during a stay to its usual spread, at which the slow
+signal counts as stuck."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Reuse results of functions that are called repeatedly with the same inputs.
 
-A column of a fit is an evaluation with one changed number. Most of its signals stay the same.
+A column of a fit is an evaluation with one changed number. Most signals of this evaluation stay the
+same.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ class Once:
     """Calls a function, unless its result for these inputs is already known.
 
     Inputs are the same if arrays are the same objects and all other inputs are equal. The result of
-    the function must therefore depend on its inputs only. Stored arrays must not change, so they
-    are made read-only. keeps: if True, new results are stored in `known`. If False, new results are
-    stored only as long as this object exists.
+    the function must therefore depend on its inputs only. The stored arrays are made read-only.
+    keeps: if True, new results are stored in `known`. If False, new results are stored only as long
+    as this object exists.
     """
 
     def __init__(self, known: Known, keeps: bool) -> None:

@@ -112,8 +112,8 @@ def joined(parts: Mapping[str, list[tuple[Array, Array]]]) -> Left:
 
 
 def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict[str, Leaves]:
-    """Return entries of a model file for segments of a length [s]. Names with too few segments have
-    no entry."""
+    """Return entries of a model file for segments of a length [s]. Quantities with too few segments
+    have no entry."""
     made = {}
     for name, (v, rms) in left.items():
         if len(v) >= least:

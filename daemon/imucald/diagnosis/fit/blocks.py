@@ -41,7 +41,7 @@ LEAST_SHARE = 0.6
 """Share of a block's rows that must be present."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
 """Conditions for a block: in at least the share `MOVING_SHARE` of its time, the vehicle must be
-faster than `MOVING_MPS`. Slower blocks show no more than stops."""
+faster than `MOVING_MPS`. A slower block contains no more information than a stop."""
 SLOW_BAND_HZ = 0.2
 SMOOTH = 7
 """Number of spectral coefficients over which the noise spectrum is averaged."""

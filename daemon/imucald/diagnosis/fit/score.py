@@ -214,8 +214,8 @@ def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
 
 def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
     """Return coefficients (B, P+1) that turn the rows of each segment into its residual, after a
-    fit of all parameters in their box. drift: a named drift, which has no place in the model file;
-    its parameters are fitted too."""
+    fit of all parameters in their box. drift: a named drift, which has no place in the model file
+    and is therefore fitted here."""
     table, x = problem.table, problem.fit(drift)
     own = len(table.keys)
     z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))

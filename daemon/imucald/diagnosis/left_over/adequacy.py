@@ -34,7 +34,8 @@ OPPOSITE = -0.4
 LEAST_ROWS = 300
 LEAST_BLOCKS = 10
 CHANCE = 0.01
-"""Chance of a reported coherence from noise alone. It is divided among the frequency bands."""
+"""Chance of a reported coherence from noise alone. This chance is divided among the frequency
+bands."""
 HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""
@@ -311,7 +312,7 @@ def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
 
 def _to_hz(name: str, state: State) -> float:
     """Return the upper frequency for an equation [Hz]. For the equation with the slope of the
-    speed, it is limited by the sample rate of the speed."""
+    speed, the sample rate of the speed limits this frequency."""
     if name not in OF_SPEED:
         return BAND_HZ[1]
     return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))

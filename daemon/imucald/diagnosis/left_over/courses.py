@@ -48,7 +48,8 @@ MOST_LEVELS = 8
 """Largest number of levels. With this number, chances down to 1e-8 can be computed, which is less
 than any family of questions needs."""
 LEAST_WAVES = 3
-"""Smallest number of oscillations within a drive. A slower oscillation counts as wandering."""
+"""Smallest number of oscillations within a drive. A parameter with fewer oscillations counts as
+wandering."""
 LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
 """Ratio of the standard deviation of a uniform distribution within a tolerance to this
@@ -62,8 +63,9 @@ itself."""
 
 @dataclass(frozen=True)
 class Scores:
-    """A parameter's evidence by segment (B,): information h, and scores s relative to the fit,
-    whose sum is zero. known: (B, k) patterns over the segments that the fit already contains."""
+    """A parameter's evidence by segment (B,): information h, and scores s relative to the fit. The
+    sum of the scores is zero. known: (B, k) patterns over the segments that the fit already
+    contains."""
 
     h: Array
     s: Array

@@ -113,7 +113,7 @@ class Trial:
     @property
     def could_be(self) -> bool:
         """True if the cause may be a rival: it improves the prediction, and a value exceeds its
-        tolerance. A rival need not be significant by itself."""
+        tolerance. A rival need not reach the significance that a named cause needs."""
         far = (np.abs(self.estimate.value) > self.reach)[: self.hypothesis.lead or None]
         return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
 
@@ -178,8 +178,8 @@ def _hypothesis(
 
 
 def on_table(h: Hypothesis, table: Table) -> Hypothesis:
-    """Adapt a drift's pattern to the blocks of another table. Another model may use other
-    blocks."""
+    """Adapt a drift's pattern to the blocks of another table. The table of another model may
+    contain other blocks."""
     if h.pattern is None or len(h.pattern) == table.blocks:
         return h
     return replace(h, pattern=_ramp(table))

@@ -14,7 +14,7 @@ from scipy.stats import betabinom, binom, false_discovery_control
 from imucald.fleet.analysis.units import MAX_Q
 
 FEW_VEHICLES = 3
-"""A cause that occurs in fewer vehicles than this is never called a design cause, even if the type
+"""Smallest number of vehicles with a cause for which the verdict may be "design", even if the type
 has few vehicles."""
 IN_BRACKETS = re.compile(r"\s*\([^)]*\)")
 FIGURES = re.compile(r"\d+(\.\d+)?")

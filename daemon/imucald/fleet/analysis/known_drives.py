@@ -96,8 +96,8 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
 
 
 def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
-    """Return start and end of the drives, as UNIX time [s]. For a logger without a clock, start and
-    end are those of the day that the path states. Without a day, the times are infinite.
+    """Return start and end of the drives, as UNIX time [s]. For a logger without a clock, the drive
+    is assumed to cover the whole day that the path states. Without a day, the times are infinite.
     """
     begin, end = (np.array(columns[name], dtype=float) for name in ("start", "end"))
     for i in np.flatnonzero(np.isnan(begin)).tolist():

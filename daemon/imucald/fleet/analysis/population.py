@@ -35,7 +35,7 @@ CENTRES = 400
 """Largest number of vehicles among which the first centre of a type is chosen."""
 LEAST_PLAIN = 5
 """The mean of a type uses only vehicles outside bad batches. If there are fewer such vehicles than
-this, it also uses vehicles of bad batches."""
+this number, the mean also uses vehicles of bad batches."""
 
 
 @dataclass

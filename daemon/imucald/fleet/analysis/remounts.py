@@ -119,8 +119,8 @@ class Null:
         """Return the p-values of squared differences between two means. before, after: number of
         drives in each mean.
 
-        The distribution of a mean is closer to normal than that of a single drive: its fourth
-        cumulant is proportional to 1 / n^3.
+        The distribution of a mean is closer to normal than the distribution of a single drive: its
+        fourth cumulant is proportional to 1 / n^3.
         """
         a, b = 1.0 / before, 1.0 / after
         share = (a**3 + b**3) / (a + b) ** 2 / 0.5

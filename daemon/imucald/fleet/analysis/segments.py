@@ -75,8 +75,8 @@ def means(e: Array, W: Array, segment: Index, is_after: NDArray[np.bool_]) -> tu
     of the means.
 
     A remount may be hidden in a segment that contains drives without an order
-    (`KnownDrives.is_after`). For such a segment, scatter that exceeds the stated covariances is
-    added to the covariance of the mean.
+    (`KnownDrives.is_after`). If the drives of such a segment scatter more than the stated
+    covariances explain, the additional scatter is added to the covariance of the mean.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     We = np.einsum("nij,nj->ni", W, e)

@@ -11,7 +11,7 @@ from scipy.stats import t as t_distribution
 from imucald.core.arrays import Array, Index
 
 MAX_Q = 0.05
-"""Expected share of false findings among those reported (Benjamini, Hochberg 1995)."""
+"""Expected share of false findings among all reported findings (Benjamini, Hochberg 1995)."""
 T_FREEDOM = 4.0
 """Degrees of freedom of the t distribution that gives the weights of robust means (Lange et al., J.
 Am. Stat. Assoc. 84, 1989: 4 is suitable for most data)."""

@@ -1,3 +1,1 @@
-"""One joint estimate of how both sensors respond to the vehicle's motion: a matrix and a zero for
-each.
-"""
+"""Joint estimator of a matrix and a zero error for the accelerometer and for the gyroscope."""

@@ -1,27 +1,31 @@
-"""Detect a drift of the accelerometer's zero. The present zero is compared with its own past.
+"""Detect a drift of the accelerometer's zero error.
 
-A Kalman filter on means of 0.8 s carries the vertical by the gyroscope and compares it with the
-force less motion, in the working axes. In bends a zero turns with the vehicle and a slope does not.
-This difference separates a zero from a slope, and a creeping mount from both. In a drive without
-faults, everything is constant except the vertical and the slow walks of both sensors' zeros:
+A Kalman filter on means of 0.8 s integrates the vertical from the gyroscope's rates. The filter
+compares this vertical with the force minus the motion's part of the force. All quantities are in
+the working axes, which are estimates of the vehicle's axes. In bends, the zero error turns with the
+vehicle, but a slope does not. This difference separates the zero error from the slope. A creeping
+mount rotates the gyroscope too. This rotation separates the creep from the zero error and from the
+slope. The filter's model is a drive without faults. In this model, everything is constant except
+the vertical and the zero errors of both sensors. These zero errors are slow random walks:
 
     left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2, (v r)^2) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
     u = m + slope, a new slope every `SLOPE_M` metres
 
-u: level part of the vertical (2). z: zero of the rate (3). e: tilt of the gyroscope (2). m: tilt of
-the working axes (2). b: zero of the force (3). B: responses to motion that remain in the axes (3 by
-5).
+left: force minus the motion's part (3). u: horizontal part of the vertical (2). z: zero error of
+the rate (3). e: tilt of the gyroscope (2). m: tilt of the working axes (2). b: zero error of the
+force (3). B: responses to motion that remain in the working axes (3 by 5).
 
-A zero that drifts from some time on is a ramp in b, with an unknown rate along an unknown
-direction. The effect of the ramp on the innovations is linear in the rate, so each onset has its
-likelihood ratio in closed form (Willsky and Jones, IEEE Trans. Automatic Control 21, 1976). The sum
-of these ratios over the onsets is the statistic of Shiryaev and Roberts. In drives without faults
-its mean grows by one per onset, so it passes A at most once in A onsets (Pollak, Ann. Statistics
-13, 1985).
+A drift of the zero error is a ramp in b. The rate of the ramp and its direction are unknown. The
+effect of the ramp on the innovations is linear in the rate. The likelihood ratio of each onset is
+therefore known in closed form (Willsky and Jones, IEEE Trans. Automatic Control 21, 1976). The sum
+of these ratios over the onsets is the statistic of Shiryaev and Roberts. In drives without faults,
+the mean of this statistic grows by one per onset. The statistic therefore exceeds a threshold A at
+most once in A onsets (Pollak, Ann. Statistics 13, 1985).
 
-A sensor that warms up drifts a little in any drive. This is a ramp with a smaller prior rate. Its
-statistic counts for a sound sensor, so a warm-up that is certain makes no fault likely.
+The zero error of a sensor drifts a little in any drive while the sensor warms up. This warm-up is a
+ramp with a smaller prior rate. The statistic of the warm-up is evidence for a sensor without a
+fault. A certain warm-up therefore does not make a fault likely.
 """
 
 from __future__ import annotations
@@ -58,80 +62,107 @@ from imucald.mount.joint.sudden_changes import (
 Complex = NDArray[np.complex128]
 
 STEP, STEPS = 8, 8
-"""Ticks of a mean, and means of a block."""
+"""Number of ticks of a mean, and number of means of a block."""
 STEP_S = STEP * TICK_S
 LEVEL_RATES = slice(2, 4)
 ONSET_BLOCKS, ONSETS = 10, 24
-"""A drift may begin every 64 s; onsets in the last 26 minutes are tested."""
+"""Number of blocks between two possible onsets of a drift (64 s), and number of onsets that are
+tested. The tested onsets cover the last 26 minutes.
+"""
 FALSE_ALARM_H = 300.0
-"""Hours of driving for one false alarm: the limit of docs/integrity.md for one fault."""
+"""Hours of driving in which at most one false alarm is expected. This value is the limit of
+docs/integrity.md for one fault.
+"""
 DOUBT_H = 15.0
-"""Hours of driving for one drift, as the deviation assumes: it grows before a drift misleads."""
+"""Hours of driving in which one drift is assumed when the deviation is computed. This value is
+smaller than `FALSE_ALARM_H`, so the deviation grows early during a drift.
+"""
 NAMED = 0.2
-"""A drift is reported as a fault from this size on [m/s^2]; a smaller one only widens the
-deviation.
+"""Size of a drift [m/s^2] above which the drift is reported as a fault. A smaller drift only
+increases the deviation.
 """
 _LOG_BLOCKS = math.log(FALSE_ALARM_H * 3600.0 / (STEPS * STEP_S))
 LOG_ONSETS = _LOG_BLOCKS - math.log(ONSET_BLOCKS)
-"""Log of the number of onsets of a drift in which one false alarm may come."""
+"""Logarithm of the number of drift onsets in which one false alarm is allowed."""
 NEVER = 700.0
-"""Log odds against the impossible: the exponential of this number does not overflow."""
+"""Size of the log odds of an impossible hypothesis. The exponential of this number does not
+overflow.
+"""
 _ONE, _AXES = np.eye(3), np.arange(3)
 _UNTIL = np.vstack([np.tril(np.ones((STEPS, STEPS)), -1) + 0.5 * np.eye(STEPS), np.ones(STEPS)])
-"""Shares of a step at which the vertical is computed: its middle, and its end."""
+"""Matrix (STEPS + 1, STEPS) that sums the turns of the steps.
+
+Row k gives the turn until the middle of step k. The last row gives the turn until the end of all
+steps.
+"""
 
 
 def probability(log_odds: float) -> float:
-    """Return the probability with these log odds."""
+    """Return the probability that corresponds to log odds."""
     return 1.0 / (1.0 + math.exp(min(-log_odds, NEVER)))
 
 
 class Drifts(NamedTuple):
-    """Deviations before any data, and deviations of the random part of a step."""
+    """Standard deviations of the states before any data, and standard deviations of their random
+    walks.
+    """
 
     rate: float = 0.002
-    """Rate of a zero that drifts because of a fault [m/s^2 a second], each axis (assumption): ten
-    times that of a warm-up.
+    """Rate of change of the zero error of each axis in a fault [m/s^2 per second]. The value is an
+    assumption: ten times the rate in a warm-up.
     """
     warming: float = 0.0002
-    """Rate in a warm-up, each axis: 1 mg/K (BMI160) and 10 K in 10 min."""
+    """Rate of change of the zero error of each axis in a warm-up [m/s^2 per second]: 1 mg/K
+    (BMI160) and 10 K in 10 min.
+    """
     warmed: float = 0.1
-    """Change of the zero by a whole warm-up [m/s^2], each axis."""
+    """Total change of the zero error of each axis in a warm-up [m/s^2]."""
     zero: float = 0.5
-    """Zero of the force in the working axes, including gravity's part from their tilt [m/s^2]."""
+    """Zero error of the force in the working axes [m/s^2]. The value includes the part of gravity
+    that comes from the tilt of these axes.
+    """
     zero_walk: float = 3e-4
-    """[m/s^2 a root second].
+    """Random walk of the force's zero error [m/s^2 per root second].
 
-    This gives 0.007 m/s^2 in 10 min, as with 0.07 mg/K and a warm-up by 10 K (assumption). A larger
-    change counts as a drift and is part of the deviation.
+    The walk is 0.007 m/s^2 in 10 min. A sensor with 0.07 mg/K that warms up by 10 K has the same
+    change (assumption). A larger change counts as a drift and is part of the deviation.
     """
     rate_zero: float = MAX_GYRO_BIAS
-    """Zero of the rate before a rest [rad/s].
+    """Zero error of the rate before the vehicle is at rest for the first time [rad/s].
 
-    It is guessed from driving; in the bends of a car park the guess was off by 6 deg/s
-    (css_canmod_164, which was examined for this value).
+    Before this rest, the zero error is estimated from driving data. In the bends of a car park, the
+    error of this estimate was 6 deg/s. The recording is css_canmod_164, which was used to choose
+    this value.
     """
     rate_zero_walk: float = 5e-5
-    """[rad/s a root second].
+    """Random walk of the rate's zero error [rad/s per root second].
 
-    This gives 0.03 deg/s in 100 s, as in a phone that warms up (vehsense_2018_08_04, which was
-    examined for this value and is not used as evidence).
+    The walk is 0.03 deg/s in 100 s. A phone that warmed up had the same change. The recording is
+    vehsense_2018_08_04, which was used to choose this value and is not used as evidence.
     """
     up: float = 0.05
-    """Vertical while there is no gyroscope to integrate it from [rad]."""
+    """Vertical while no gyroscope data are available for its integration [rad]."""
     up_walk: float = VERTICAL_WALK
-    """Vertical while it is integrated [rad a root second]: noise and gain of the gyroscope."""
+    """Random walk of the vertical during its integration [rad per root second]. The causes are
+    noise and gain error of the gyroscope.
+    """
     lost: float = 0.01
-    """Growth of the vertical's deviation for each unused tick [rad]."""
+    """Increase of the vertical's deviation for each unused tick [rad]."""
     gyro: float = 0.036
-    """Tilt of the gyroscope's axes (`state.Priors.gyro`) and of its working axes (`tilt`)."""
+    """Tilt of the gyroscope's working axes [rad]. The value combines `state.Priors.gyro` with
+    `tilt`.
+    """
     tilt: float = 0.03
     """Tilt of the working axes relative to the vehicle's axes [rad]."""
     slope: float = SLOPE
     noise: float = 0.1
-    """Initial noise of a mean [m/s^2]; it is learnt axis by axis."""
+    """Initial noise of a mean [m/s^2]. The filter then estimates the noise of each axis from the
+    data.
+    """
     loudness: float = 4.0
-    """Degrees of freedom of a block's noise relative to the estimated noise."""
+    """Degrees of freedom (Student's t distribution) of the ratio between a block's noise and the
+    estimated noise.
+    """
 
 
 ANSWERS: Final = np.array(
@@ -141,25 +172,31 @@ ANSWERS: Final = np.array(
         [0.03, 0.03, 0.3, 0.3, 0.02],
     ]
 )
-"""Prior deviations of B: cross-talk and gains, the lever arm [m], and the slip and lean of a
+"""Prior standard deviations of the matrix B, the responses of the force to motion.
+
+Columns 1 and 2: cross-talk and gains. Columns 3 and 4: lever arm [m]. Column 5: slip and lean of a
 vehicle in bends [s^2/m].
 """
 LEARNT, LEAST, MOST = 200.0, 0.02, 100.0
-"""The noise is learnt over this many means (160 s), and stays within these factors of the usual
-variance.
+"""Number of means over which the noise is estimated (160 s). Smallest and largest ratio of the
+estimated noise variance to the usual noise variance.
 """
 HEAVY = 9.0
-"""Innovations beyond this (chi-square of 3) get less weight: 1 in 34 of normal ones."""
+"""Largest square of a residual that is used to estimate the noise, as a multiple of the noise
+variance of the axis: three deviations. Larger squares are limited to this value.
+"""
 
 
 class Drift(NamedTuple):
-    """Knowledge about a drift.
+    """Estimate of a drift of the force's zero error.
 
-    log_odds: log of the statistic of a fault over its threshold, against a sound sensor that may
-    warm up. Above zero there is a fault; a false alarm comes once in `FALSE_ALARM_H`. size: (3,)
-    change of the zero [m/s^2], working axes, if it is a fault. covariance: (3, 3) of that change.
-    rate, rate_covariance: rate of the drift [m/s^2 a second]. usual: (3, 3) mean square of the
-    change if it is none.
+    log_odds: logarithm of the odds of a fault against a sensor without a fault. A sensor without a
+    fault may warm up. The odds are computed from the statistic of a fault divided by the threshold
+    of this statistic. Values above zero mean a fault. At most one false alarm is expected in
+    `FALSE_ALARM_H` hours. size: (3,) change of the zero error in a fault [m/s^2], working axes.
+    covariance: (3, 3) covariance of `size`. rate: (3,) rate of the drift in a fault [m/s^2 per
+    second]. rate_covariance: (3, 3) covariance of `rate`. usual: (3, 3) mean square of the change
+    if there is no fault [(m/s^2)^2].
     """
 
     log_odds: float
@@ -170,7 +207,7 @@ class Drift(NamedTuple):
     usual: Array = np.zeros((3, 3))
 
     def turned(self, matrix: Array) -> Drift:
-        """Return the same drift in other axes. matrix: (3, 3) rotation into them."""
+        """Return the same drift in other axes. matrix: (3, 3) rotation into these axes."""
 
         def both(covariance: Array) -> Array:
             return np.asarray(matrix @ covariance @ matrix.T)
@@ -182,12 +219,13 @@ class Drift(NamedTuple):
 
     @property
     def is_named(self) -> bool:
-        """True if a drift is certain, and large enough for a fault."""
+        """True if a drift is certain and large enough for a fault."""
         return self.log_odds > 0.0 and float(np.linalg.norm(self.size)) > NAMED
 
     def variance(self) -> Array:
-        """(3,) variance of the change from the past zero to the present one, weighted by the
-        probability of a drift.
+        """Return the variance (3,) of the change from the past zero error to the present zero error
+        [(m/s^2)^2]. The variance is the mean over the cases of a drift and of no drift, weighted by
+        their probabilities.
         """
         odds = self.log_odds + math.log(FALSE_ALARM_H / DOUBT_H)
         share = probability(odds)
@@ -199,9 +237,11 @@ NONE = Drift(-math.inf, np.zeros(3), np.zeros((3, 3)))
 
 
 class _Path(NamedTuple):
-    """The level vertical in the middle of each of n steps and at their end: (n + 1, 2).
+    """Path of the vertical over n steps.
 
-    Also its derivatives with respect to the state at the start: (n + 1, 2, STATES).
+    up: (n + 1, 2) horizontal part of the vertical in the middle of each step, and at the end of the
+    last step. slopes: (n + 1, 2, STATES) derivatives of `up` with respect to the state at the
+    start.
     """
 
     up: Array
@@ -209,12 +249,14 @@ class _Path(NamedTuple):
 
 
 class ZeroDrift:
-    """The filter, and the effect of a drift from each onset on it.
+    """Kalman filter of a drive without drift, and the effect of a drift from each onset on this
+    filter.
 
-    State: mean and covariance (STATES) of the model without drift. For each onset: the shift of the
-    mean for a rate of one, the information (3, 3) on the rate, its score (3,), and the drift of the
-    zero before. past: a drift before the first block, in the working axes. This drift may continue,
-    so it is the first onset.
+    The state has a mean (STATES,) and a covariance (STATES, STATES). Four results are stored for
+    each onset: the shift of the mean for a drift of 1 m/s^2 per second, the information (3, 3)
+    about the rate of the drift, the score (3,) of this rate, and the drift before the onset. past:
+    a drift before the first block, in the working axes. This drift may continue, so the first onset
+    is the onset of this drift.
     """
 
     def __init__(self, past: Drift | None = None, drifts: Drifts | None = None) -> None:
@@ -248,14 +290,15 @@ class ZeroDrift:
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array,
         rate_walk: Array,
     ) -> None:  # fmt: skip
-        """Take a block of N = 64 ticks in the working axes, in parts.
+        """Take a block of N = 64 ticks in the working axes.
 
-        Random walks are added at the start of a part. The effect of unused ticks must be added
-        before the other ticks.
+        The block is divided into parts. Random walks are added at the start of a part. The effect
+        of unused ticks must be added before the other ticks.
 
-        left: (N, 3) force less motion. rate: (N, 3), from which rate_zero (3,) has been taken.
-        speed, accel, use: (N,). rate_walk: (3, 3) growth of the variance of an angle summed from
-        the rate [rad^2/s].
+        left: (N, 3) force minus the motion's part [m/s^2]. rate: (N, 3) rate after the zero error
+        rate_zero (3,) was subtracted [rad/s]. speed: (N,) [m/s]. accel: (N,) [m/s^2]. use: (N,)
+        flags of the usable ticks. rate_walk: (3, 3) growth of the variance of an angle that is
+        integrated from the rate [rad^2/s].
         """
         if self._blocks % ONSET_BLOCKS == 0:
             self._begin_ramp()
@@ -283,7 +326,7 @@ class ZeroDrift:
             self._steps += stop - first
 
     def found(self) -> Drift:
-        """Return the present knowledge of a drift: its probability and its size."""
+        """Return the present estimate of a drift: its probability and its size."""
         ramps = self._ramps
         if not len(ramps.began):
             return NONE
@@ -317,8 +360,8 @@ class ZeroDrift:
     def axis_of_turning(self) -> tuple[Array, Array]:
         """Return the tilt of the gyroscope's axis of turning relative to the vertical.
 
-        The vertical is the axis on which the accelerometer measures gravity on level ground. The
-        result is the level part (2,) [rad] and its covariance (2, 2).
+        The vertical is the axis along which the accelerometer measures gravity on level ground. The
+        result is the horizontal part (2,) of the tilt [rad] and its covariance (2, 2).
         """
         rows = np.zeros((2, STATES))
         rows[:, GYRO] = np.eye(2)
@@ -346,7 +389,9 @@ class ZeroDrift:
             self._past = None
 
     def _go_on_from(self, past: Drift) -> None:
-        """Make an earlier drift the first onset: its prior is the former estimate of the rate."""
+        """Make an earlier drift the first onset. The former estimate of the drift rate becomes the
+        prior.
+        """
         prior, information = self._drifts.rate**2, inverse(past.rate_covariance)
         self._ramps.information[0] = information - _ONE / prior
         self._ramps.score[0] = information @ past.rate
@@ -357,7 +402,9 @@ class ZeroDrift:
     # the filter ----------------------------------------------------------------------------------
 
     def _path(self, turns: Array) -> _Path:
-        """Return the vertical over steps in which the vehicle turned by (n, 3) [rad]."""
+        """Return the vertical over n steps. turns: (n, 3) rotation of the vehicle in each step
+        [rad].
+        """
         x, n = self._mean, len(turns)
         until = _UNTIL[[*range(n), STEPS], :n]
         p, q, r = (turns - x[RATE_ZERO] * STEP_S).T
@@ -378,10 +425,11 @@ class ZeroDrift:
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
     def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
-        """Update the state with the means (n, 9) of the force in the steps `held`.
+        """Update the state with the means (n, 9) of the steps `held`.
 
-        Then update the vertical at the end of the last step with the slopes of roads over the
-        distance passed, and carry the state over the steps.
+        Then update the vertical at the end of the last step with the prior of road slopes. The
+        weight of this prior depends on the distance passed [m]. Finally predict the state at the
+        end of the steps.
         """
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n
@@ -415,8 +463,8 @@ class ZeroDrift:
             one.shift[UP] = end @ one.shift
 
     def _force_rows(self, path: _Path, means: Array, held: NDArray[np.int_]) -> tuple[Array, Array]:
-        """Return the rows (3 n, STATES) by which the means of the force respond to the state, and
-        their residuals (3 n,).
+        """Return the derivatives (3 n, STATES) of the mean forces with respect to the state, and
+        the residuals (3 n,) of the mean forces.
         """
         x, taken = self._mean, means[held]
         moved, speed = taken[:, 3 : 3 + MOTIONS], taken[:, 3 + MOTIONS]
@@ -434,11 +482,11 @@ class ZeroDrift:
         return H.reshape(-1, STATES), off.ravel()
 
     def _whitening(self, S: Array, noise: Array, off: Array, n: int) -> Array:
-        """Return the matrix (m, m) that whitens the innovations off (m,): the inverse of the root
-        of their covariance.
+        """Return the matrix (m, m) that whitens the innovations off (m,).
 
-        The covariance is that of the state and the noise, plus that of n means. Means that are far
-        off get less weight.
+        The matrix is the inverse of the Cholesky root of the covariance of the innovations. This
+        covariance is the sum of three parts: S (m, m) from the state, the variances `noise` (m,),
+        and the noise of n means. Means with large innovations get less weight.
         """
         free, each = self._drifts.loudness, np.tile(self._noise, n)
         diagonal = S.ravel()[:: len(S) + 1]
@@ -453,7 +501,9 @@ class ZeroDrift:
         return inverse(_root(S))
 
     def _learn_noise(self, root: Array, white: Array) -> None:
-        """Learn the noise from white innovations (n, 3) and the root of their covariance."""
+        """Estimate the noise of each axis. white: (n, 3) whitened innovations. root: Cholesky root
+        of the covariance of the innovations.
+        """
         n, places = len(white), np.arange(len(white))
         blocks = root[: 3 * n, : 3 * n].reshape(n, 3, n, 3)[places, :, places]
         square = (blocks @ white[:, :, None])[:, :, 0] ** 2
@@ -465,7 +515,9 @@ class ZeroDrift:
 
 
 def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: Array) -> Array:
-    """Return means (STEPS, 9) over the ticks that count: force less motion, the motions of B, v."""
+    """Return means (STEPS, 9) over the usable ticks. The columns are the force minus the motion's
+    part, the five motions of the matrix B, and the speed.
+    """
     every = np.empty((4 + MOTIONS, len(r)))
     every[:3], every[3], every[4] = left.T, accel, speed * r
     every[5, 1:-1] = (r[2:] - r[:-2]) * (0.5 / TICK_S)
@@ -476,8 +528,8 @@ def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: 
 
 
 def _as_matrices(values: Complex) -> Array:
-    """Return matrices (n, 2, 2) that act on the level parts of a vector as complex factors
-    (n,) do.
+    """Return the matrices (n, 2, 2) of complex factors (n,). A matrix acts on a horizontal vector
+    in the same way as the complex factor acts on a complex number.
     """
     made = np.empty((len(values), 2, 2))
     made[:, 0, 0] = made[:, 1, 1] = values.real

@@ -1,8 +1,8 @@
-"""Evidence of a drive, and its solution.
+"""Collect the evidence of a drive, and solve for the unknowns.
 
-Ticks are stored as received, in sensor axes. Windows are made in the working axes when a solve is
-due. When the axes have moved too far for a linear solve, all windows are made again from the stored
-ticks (Gauss-Newton).
+The ticks are stored as received, in sensor axes. The windows are computed in the working axes when
+a solution is due. If the axes have moved too far for a linear solution, all windows are computed
+again from the stored ticks (Gauss-Newton method).
 """
 
 from __future__ import annotations
@@ -76,35 +76,45 @@ from imucald.mount.joint.sums import Fits, WindowSums
 
 Complex = NDArray[np.complex128]
 Axes = tuple[Matrix3, Matrix3, Array]
-"""Matrices from sensor axes for force and rate, and the zero of the force [m/s^2]."""
+"""Matrices from sensor axes to working axes for force and rate, and zero error of the force
+[m/s^2].
+"""
 
 BLOCKS_A_WINDOW = wd.WINDOW // wd.BLOCK
 BLOCKS_AT_ONCE = 16
-"""Windows are made of this many blocks at a time; more would need more memory without being
-faster.
+"""Number of blocks whose windows are computed together. A larger number would need more memory and
+would not be faster.
 """
 MADE_AT_ONCE = 64
-"""If long evidence must be made again, this many windows are made with each new block (0.04 s on a
-busy core of 2026). The loop that corrects frames waits meanwhile, and frames that wait for 0.1 s
-are not corrected.
+"""Number of windows that are computed again with each new block, if the evidence is long. The
+computation takes 0.04 s on a busy core of 2026. The loop that corrects frames waits during this
+time. Frames that wait for 0.1 s are not corrected.
 """
 BACKWARD = 0.2
-"""Share of the way that is backward on balance, from which the axes are turned round."""
+"""Share of backward driving from which the axes are turned round: distance backward minus distance
+forward, divided by the whole distance.
+"""
 MOST_BLOCKS, KEPT_BLOCKS = 640, 480
-"""Of a long drive, the last 50 to 70 minutes count: more data do not reduce any deviation."""
+"""Largest number of blocks, and number of blocks that are kept when the largest number is exceeded.
+A long drive is therefore estimated from its last 50 to 70 minutes. More data do not reduce any
+deviation.
+"""
 LEAST_USED, LEAST_MOVING = 0.5, 0.1
-"""Smallest share of usable ticks in a window, and smallest share of driven ticks."""
+"""Smallest share of usable ticks in a window, and smallest share of driving ticks among the usable
+ticks.
+"""
 MOST_LEFT = 0.01
-"""Windows are made again when the axes have moved by this angle [rad] since."""
+"""Angle of a change of the axes [rad] from which the windows are computed again."""
 MOST_LATE = 0.03
-"""Windows are made again when the speed's delay has changed by this time [s]."""
+"""Change of the speed's delay [s] from which the windows are computed again."""
 DELAY_STEP = 0.02
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, DELAY_STEP)
 REACH = 4.0
-"""A delay is searched within this many deviations of its prior."""
+"""Largest distance of the delay from the mean of its prior, in deviations of the prior."""
 FOLLOWS = 0.8
-"""A band is used if the gain of the force on dv/dt is at least this share of the slow bands'
-gain."""
+"""Smallest gain of the force on dv/dt in a band that is used, as a share of the median gain of the
+three slowest bands.
+"""
 USUAL_NOISE: Final = np.array(
     [
         [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
@@ -112,13 +122,14 @@ USUAL_NOISE: Final = np.array(
         [0.15, 0.4, 0.3, 0.3, 0.3, 0.3, 0.4, 0.7],
     ]
 )
-"""Expected noise for each axis of the force and each band [(m/s^2)^2].
+"""Expected noise for each axis of the force and each frequency band [(m/s^2)^2].
 
-The values are rounded up from the means of eleven drives (three of second_world, two measured,
-simulated seeds 970000 to 970005). These drives are therefore not used to judge results.
+The values are rounded up from the means of eleven drives: three drives of second_world, two
+measured drives, and the simulated drives with the seeds 970000 to 970005. These drives are
+therefore not used to judge results.
 """
 USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
-"""Expected noise of roll and pitch rate [(rad/s)^2]."""
+"""Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
 SPREAD: Final = np.array(
     [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
         [0.1, 0.15, 0.05, 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, 0.01],
@@ -126,11 +137,15 @@ SPREAD: Final = np.array(
         [0.5, 0.05, 0.05, 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, 0.02],
     ]
 )
-"""Prior deviations of the nuisances for each axis of the force: curvature of the road, delay of the
-speed, lag of the body, lever arm [m], zero of the gyroscope, tilt of the gyroscope, even terms.
+"""Prior standard deviations of the nuisance coefficients for each axis of the force.
+
+Causes of the nuisances: curvature of the road, delay of the speed, lag of the body, lever arm [m],
+zero error of the gyroscope, tilt of the gyroscope, even terms.
 """
 TURN_SPREAD: Final = np.array([1.0, 0.02, 0.02, 0.3, 0.02])
-"""Prior deviations for the rate: axis of turning, rolling, pitching, dr/dt, lean in bends."""
+"""Prior standard deviations of the coefficients of roll rate and pitch rate: axis of turning,
+rolling, pitching, dr/dt, lean in bends.
+"""
 _XS = tuple(range(wd.X.start, wd.X.stop))
 _ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
 TURN_FITS: Final = Fits(
@@ -140,12 +155,13 @@ TURN_FITS: Final = Fits(
     keep=1,
 )
 ROLLS, PITCHES = 0.0075, 0.004
-"""Rolling and pitching per v r and dv/dt [rad/(m/s^2)] where there is no gyroscope: 4 to 6 and 2 to
-3 deg/g from the springs (assumption).
+"""Roll angle per v r, and pitch angle per dv/dt [rad/(m/s^2)], for a vehicle without a gyroscope.
+These values are 4 to 6 deg/g for roll and 2 to 3 deg/g for pitch, from the springs (assumption).
 """
 ROLLING_SPREAD: Final = np.array([0.7, 1.5, 1.5])
-"""Prior deviations by axis of the response to dp/dt of such a rolling: the lever arm, and the
-effect of a yaw rate that is 0.1 s earlier or later.
+"""Prior standard deviation of the response to dp/dt for each axis of the force, if the roll rate p
+is computed without a gyroscope. The causes are the lever arm, and a yaw rate that is 0.1 s too
+early or too late.
 """
 SLOPE_NOISE: Final = np.array(
     [
@@ -154,24 +170,32 @@ SLOPE_NOISE: Final = np.array(
         [1.5, 4.0, 2.5, 1.3, 0.7, 0.5, 0.6, 1.2],
     ]
 )
-"""Noise from slopes where no gyroscope carries the vertical.
+"""Additional noise from slopes without a gyroscope, for each axis of the force and each frequency
+band [(m/s^2)^2].
 
-The values are medians of simulated seeds 970000 to 970011, which are not used to judge results.
+The values are medians of the simulated drives with the seeds 970000 to 970011. These drives are not
+used to judge results.
 """
 UNKNOWN: Final = range(len(wd.NAMES), len(wd.NAMES) + len(UNKNOWN_NAMES))
-"""Columns of `unknown_speed`, which follow those of `windows` where there is no speed."""
+"""Indices of the columns of `unknown_speed`. In a drive without a speed signal, these columns come
+after the columns of `windows`.
+"""
 UNKNOWN_NOISE: Final = np.array([0.15, 0.5, 0.4, 0.35, 0.2, 0.1, 0.05, 0.05])
-"""Expected noise of the lateral force with the speed eliminated, as in `USUAL_NOISE` (seeds 9000 to
-9007, rounded up).
+"""Expected noise of the lateral force in each frequency band [(m/s^2)^2], for a drive without a
+speed signal. The values are from the simulated drives with the seeds 9000 to 9007, rounded up.
 """
 UNKNOWN_SPREAD: Final = np.array(
     [1.0, 1.0, 0.03, 0.03, 1.5, 3.0, 1.5, 0.02, 0.15, 0.01, 0.01, 1.5, 1.5, 0.03]
 )
-"""Prior deviations for them: cross-talk xy and yx, then the nuisances as in `SPREAD`, the lever arm
-in f_x [m], and the gain of the turn rate.
+"""Prior standard deviations of the coefficients for a drive without a speed signal.
+
+Order of the values: the cross-talk xy and yx, the nuisances as in `SPREAD`, the lever arm in f_x
+[m], and the gain of the turn rate.
 """
 STEERED_GAIN = 0.2
-"""Prior deviation of that gain where turns come from a steering angle: understeer (assumption)."""
+"""Prior standard deviation of the gain of a turn rate that is computed from a steering angle. The
+cause is understeer (assumption).
+"""
 ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
@@ -183,8 +207,10 @@ ANSWERS: Final = {
     (0, 2): "pitch_axis",
     (1, 2): "roll_axis",
 }
-"""Answers to motion that show an angle, by axis and motion: of the force to dv/dt (0) and v r (1),
-of the rate to the turn rate (2).
+"""Name of the evidence for each response to motion, by axis and motion.
+
+Motion 0 is dv/dt, motion 1 is v r, and motion 2 is the turn rate r. The force responds to motions 0
+and 1. The measured roll rate and pitch rate respond to motion 2.
 """
 Answered = tuple[tuple[tuple[int, tuple[int, int]], ...], ...]
 WITH_SPEED: Final[Answered] = (
@@ -192,42 +218,53 @@ WITH_SPEED: Final[Answered] = (
     ((0, (1, 0)),),
     ((0, (2, 0)), (1, (2, 1))),
 )
-"""For each fit of the force, the coefficients that should be zero: place, axis and motion."""
+"""Coefficients that are zero in the vehicle's axes, for each fit of the force: place in the fit,
+axis and motion.
+"""
 WITHOUT_SPEED: Final[Answered] = (
     ((0, (0, 1)), (1, (1, 0))),
     ((0, (2, 0)), (1, (2, 1))),
 )
-"""The same where the speed is eliminated: the lateral force shows both motions."""
+"""Coefficients as in `WITH_SPEED` for a drive without a speed signal. The lateral force then gives
+the responses to both motions.
+"""
 LEVELS: Final = ("pitch_gravity", "roll_gravity")
-"""Angles that the level force along and across shows."""
+"""Names of the evidence from the horizontal force: pitch from the force along x, roll from the
+force along y.
+"""
 ALL_SIGNALS: Final = OtherSignals()
 ANY_DELAY: Final = DelayPrior()
 LEVEL: Final = np.array([0.0, 0.0, 1.0])
-"""The vertical without a gyroscope: level."""
+"""Assumed direction of the vertical without a gyroscope: the vehicle is level."""
 NO_ZERO: Final = np.zeros(3)
 NO_WALK: Final = np.zeros((3, 3))
 NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
 NO_ARM: Final = (0.0, 0.0, 0.0)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 SIDE = 0.3
-"""Smallest share of the level force across the principal axis that goes with the turn rate."""
+"""Smallest rms of the lateral force that follows the turn rate, as a share of the rms of the whole
+horizontal force. Lateral means across the principal axis of the force.
+"""
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
-"""Middles of the ticks of a block: times at which a speed is known if every tick has a mean
-[ticks].
+"""Middles of the ticks of a block [ticks]. The speed is known at these times if every tick has a
+mean of the speed.
 """
 
 
 class Block(NamedTuple):
-    """Even signals of 64 ticks. force, rate: (64, 3) in sensor axes, the rate without its zero.
+    """Signals of a block of 64 ticks on an even time grid.
 
-    Without a gyroscope, the rate is that of the vehicle, about its z alone.
+    force: (64, 3) [m/s^2], sensor axes. rate: (64, 3) [rad/s], sensor axes, after the zero error
+    was subtracted. Without a gyroscope, the x and y components of the rate are zero, and the z
+    component is the yaw rate of the vehicle.
 
-    speed: (64,) [m/s], negative in reverse; where there is none, it shows rest and the gear alone.
-    rest: (64,) True where the vehicle is as still as a parked one. use: (64,) True for usable
-    ticks. rate_zero: (3,) zero that was subtracted from the rate [rad/s]; is_rate_known: whether it
-    was measured. rate_walk: (3, 3) growth of the variance of an angle summed from the rate
-    [rad^2/s]. knots: (K,) times at which the speed is known [ticks since the block began].
-    least_speed: smallest speed that its sender shows [m/s].
+    speed: (64,) [m/s], negative in reverse. Without a speed signal, an assumed speed shows only
+    rest and the direction of the gear. use: (64,) flags of the usable ticks. is_rate_known: True if
+    the zero error of the rate was measured. rate_zero: (3,) zero error that was subtracted from the
+    rate [rad/s]. rate_walk: (3, 3) growth of the variance of an angle that is integrated from the
+    rate [rad^2/s]. knots: (K,) times at which the speed is known [ticks since the start of the
+    block]. least_speed: smallest speed that the speed signal shows [m/s]. rest: (64,) True while
+    the vehicle is as still as a parked vehicle.
     """
 
     force: Array
@@ -243,15 +280,16 @@ class Block(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Knowledge at one time.
+    """Estimate at one time.
 
-    force, rate: (3, 3) matrices W and V from sensor axes to vehicle axes. zero: (3,) zero of the
-    force in vehicle axes [m/s^2], to be subtracted. covariance: (UNKNOWNS, UNKNOWNS) of the
-    remaining errors. delay: delay of the speed [s]. unfinished: angle by which the axes have just
-    moved [rad]. housing: R_vehicle_from_sensor (3, 3). turn: rotation of the gyroscope about z
-    against the accelerometer [rad]. same: probability that sensor and mount have not changed since
-    the last drive. contradiction: chi-square (3) of the mount against that of the last drive; None:
-    none is compared. variance: (8,) of sent data, see `state.sent_variance`.
+    force, rate: (3, 3) matrices W and V from sensor axes to vehicle axes. zero: (3,) zero error of
+    the force in vehicle axes [m/s^2]; this error is subtracted. covariance: (UNKNOWNS, UNKNOWNS)
+    covariance of the remaining errors. delay: delay of the speed [s]. unfinished: angle of the last
+    change of the axes [rad]. housing: (3, 3) R_vehicle_from_sensor of the housing. turn: rotation
+    of the gyroscope about z relative to the accelerometer [rad]. same: probability that sensor and
+    mount have not changed since the last drive. contradiction: chi-square with three degrees of
+    freedom of the mount against the mount of the last drive; None: there is no mount of a last
+    drive. variance: (8,) variances of the sent data, see `state.sent_variance`.
     """
 
     force: Matrix3
@@ -268,7 +306,7 @@ class Solution(NamedTuple):
 
     @property
     def is_of_sensors(self) -> bool:
-        """True if the gains of both matrices along all directions are possible for this unit."""
+        """True if the gains of both matrices in all directions are possible for a sensor."""
         return are_of_a_sensor(self.force, self.rate)
 
     def sensor(self, priors: Priors) -> KnownSensor:
@@ -281,16 +319,16 @@ class Solution(NamedTuple):
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
     def sent(self, turned: Array = NO_TURN, zero: Array = NO_ZERO) -> SentDeviations:
-        """Return the deviations of sent data.
+        """Return the deviations of the sent data.
 
-        turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of
-        a zero that has changed [(m/s^2)^2].
+        turned: (3,) variance of an additional rotation of both sensors [rad^2]. zero: (3,) variance
+        of an additional change of the zero error [(m/s^2)^2].
         """
         return sent_deviations(self.variance, turned, zero)
 
 
 class Evidence:
-    """All blocks of a drive since the last move of the sensor, and the solution on them."""
+    """All blocks of a drive since the last move of the sensor, and their solution."""
 
     def __init__(
         self,
@@ -302,10 +340,10 @@ class Evidence:
         late: DelayPrior = ANY_DELAY,
         lever_arm: tuple[float, float, float] = NO_ARM,
     ) -> None:
-        """known: earlier knowledge of the sensor. is_moved: the sensor was moved since.
+        """known: earlier data of the sensor. is_moved: the sensor was moved after these data.
 
         past: an earlier drift, in sensor axes. late: prior of the delay of the speed. lever_arm:
-        of the sensor from the body's centre of rotation, vehicle axes [m], as far as it is known.
+        known vector from the body's centre of rotation to the sensor, vehicle axes [m].
         """
         self.signals = signals
         self._past = past
@@ -316,15 +354,16 @@ class Evidence:
         self._breaks: set[int] = {0}
         self._axes: Axes | None = None
         self.rotation: Matrix3 | None = None
-        """Approximate rotation (3, 3) from accelerometer to vehicle axes; None until there is
-        evidence for it."""
+        """Approximate rotation (3, 3) from accelerometer to vehicle axes; None before there is
+        evidence for this rotation.
+        """
         self._taken = np.zeros(UNKNOWNS)
         self._late, self._lever_arm = late, np.array(lever_arm)
         self.delay, self.delay_std = late.mean, math.inf
         self.gains = (1.0, 1.0)
         """Gains of the force on dv/dt and v r."""
         self.variances: Mapping[str, float] = {}
-        """Variance of the angle that each kind of evidence shows alone [rad^2]."""
+        """Variance of the angle from each kind of evidence alone [rad^2]."""
         self._bands = np.ones(wd.BANDS, dtype=bool)
         self.solution: Solution | None = None
         self._due = 0
@@ -340,7 +379,7 @@ class Evidence:
 
     @property
     def drift(self) -> Drift:
-        """Knowledge about a drift of the force's zero from the same blocks."""
+        """Estimate of a drift of the force's zero error from the stored blocks."""
         if self._axes is None or not self._follows_drift:
             return NO_DRIFT
         self._follow_drift()  # it can't wait until a solution is due
@@ -350,9 +389,11 @@ class Evidence:
         return self._found_drift
 
     def sudden_change(self) -> SuddenChange | None:
-        """Return the most likely sudden change in the last minute, or since an open one began.
+        """Return the most likely sudden change in the last minute. If the cause of an earlier
+        change is still open, this change is included too.
 
-        Returns None if no filter tests for one, or before it has taken all blocks.
+        Returns None if the signals do not allow the test, or before the filter has taken all
+        blocks.
         """
         if self._axes is None or not self._follows_drift:
             return None
@@ -366,13 +407,15 @@ class Evidence:
 
     @property
     def _follows_drift(self) -> bool:
-        """True if a gyroscope and a speed tell a zero from a slope."""
+        """True if there are a gyroscope and a speed. Both signals are needed to separate a zero
+        error from a slope.
+        """
         return self.signals.gyro and self.signals.speed
 
     def in_sensor_axes(self, drift: Drift) -> Drift:
         """Return `drift` in sensor axes.
 
-        Before there are any axes, return what was known before the blocks.
+        Before the working axes are known, return the drift that was known before the first block.
         """
         if self._axes is None:
             return self._past or NO_DRIFT
@@ -380,14 +423,16 @@ class Evidence:
 
     @property
     def is_delay_beyond(self) -> bool:
-        """True if the best delay is the largest that is searched, and nobody has stated it."""
+        """True if the best delay is the largest delay of the search, and the prior of the delay
+        also allows larger delays.
+        """
         is_largest = math.isfinite(self.delay_std) and self.delay >= MAX_SPEED_DELAY - DELAY_STEP
         return (
             is_largest and self._late.mean + REACH * self._late.std > MAX_SPEED_DELAY + DELAY_STEP
         )
 
     def leave_mount(self) -> None:
-        """Use the earlier knowledge of the sensor for another mount, from the next solve on."""
+        """Use the earlier data of the sensor for another mount, from the next solution on."""
         self.is_moved, self._due = True, 0
 
     @property
@@ -397,7 +442,7 @@ class Evidence:
 
     @property
     def bias(self) -> Array:
-        """Zero of the accelerometer in sensor axes (3,) [m/s^2], as found so far."""
+        """Present estimate of the accelerometer's zero error (3,) in sensor axes [m/s^2]."""
         if self.solution is None:
             return NO_ZERO
         return inverse(self.solution.force) @ self.solution.zero
@@ -414,11 +459,11 @@ class Evidence:
 
     @property
     def compares_with_before(self) -> bool:
-        """True if one of the hypotheses is that nothing has changed."""
+        """True if the hypothesis that nothing has changed is one of the hypotheses."""
         return self.known is not None and not self.is_moved
 
     def gap(self) -> None:
-        """Note a jump of time: later blocks are not joined with earlier ones."""
+        """Note a jump of time. Later blocks are not joined with earlier blocks."""
         self._breaks.add(len(self._blocks))
 
     def add_block(self, block: Block) -> None:
@@ -428,9 +473,11 @@ class Evidence:
             self._forget(len(self._blocks) - KEPT_BLOCKS)
 
     def subtract_rate_zero(self, zero: Array) -> None:
-        """Subtract the rate's zero (3,) [rad/s] from the blocks that came before it was known.
+        """Subtract the measured zero error (3,) of the rate [rad/s] from the blocks before the
+        measurement.
 
-        A guess was subtracted from those blocks before.
+        A guess of the zero error was subtracted from these blocks. The measured value replaces the
+        guess.
         """
         self._blocks = [
             b
@@ -443,7 +490,9 @@ class Evidence:
             self._rework(*self._axes)
 
     def _forget(self, count: int) -> None:
-        """Drop the first blocks: the solution covers the last hour."""
+        """Delete the first blocks, because the solution covers only the last hour. count: number of
+        blocks to delete.
+        """
         if self._axes is not None:
             self._extend()
             if self._follows_drift:
@@ -465,7 +514,9 @@ class Evidence:
         self._done = 0
 
     def _reset_drift(self) -> None:
-        """Restart the filter of a drift if the axes have moved beyond the tilt that it allows."""
+        """Restart the drift filter if the axes, or the delay of the speed, have changed too much
+        for the filter.
+        """
         assert self._axes is not None
         if not self._follows_drift:
             return
@@ -480,7 +531,9 @@ class Evidence:
     # windows -------------------------------------------------------------------------------------
 
     def _extend(self) -> None:
-        """Make the windows of the new blocks. The last block waits for its next speed."""
+        """Compute the windows of the new blocks. The last block is left out until its next speed is
+        known.
+        """
         for first, stop in self._joined_since(self._done):
             if first in self._breaks:
                 self._vertical.restart()
@@ -490,8 +543,11 @@ class Evidence:
             self._done = stop
 
     def _joined_since(self, first: int) -> Iterator[tuple[int, int]]:
-        """Yield the new blocks, joined and in groups, each with the places of its first and last
-        block. There are at most `MADE_AT_ONCE` blocks in all.
+        """Yield groups of joined blocks. The groups start at the block `first`. Each group is a
+        pair: index of the first block, and index after the last block.
+
+        All groups together contain at most `MADE_AT_ONCE` blocks, or a quarter of this number
+        without a speed signal.
         """
         most = MADE_AT_ONCE if self.signals.speed else MADE_AT_ONCE // 4  # slower by so much
         end = min(len(self._blocks) - 1, first + most)
@@ -501,11 +557,11 @@ class Evidence:
             first = stop
 
     def _is_up_to(self, made: int) -> bool:
-        """True if all complete windows have been made."""
+        """True if all complete blocks have been processed. made: number of processed blocks."""
         return made >= len(self._blocks) - 1
 
     def _follow_drift(self) -> None:
-        """Give the new blocks to the filter that tests for a drift of the zero."""
+        """Give the new blocks to the filter that tests for a drift of the zero error."""
         V = self._drift_axes[1]
         for first, stop in self._joined_since(self._followed):
             if first in self._breaks:
@@ -522,8 +578,8 @@ class Evidence:
     def _in_axes(
         self, first: int, stop: int, axes: Axes, moved: tuple[Array, Array]
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """Return force, rate (N, 3), speed, dv/dt (N,) and motion's share of the force (N, 3) for
-        the ticks of joined blocks.
+        """Return force (N, 3), rate (N, 3), speed (N,), dv/dt (N,) and the motion's part of the
+        force (N, 3) for the ticks of joined blocks. All vectors are in `axes`.
         """
         W, V, zero = axes
         run = self._blocks[first:stop]
@@ -543,7 +599,7 @@ class Evidence:
         return force, rate, speed, accel, motion
 
     def _take(self, first: int, stop: int) -> None:
-        """Make the windows that end with these joined blocks."""
+        """Compute the windows that end with the joined blocks from `first` to before `stop`."""
         assert self._axes is not None
         use = np.concatenate([b.use for b in self._blocks[first:stop]])
         if self.signals.speed:
@@ -585,8 +641,10 @@ class Evidence:
     def _eliminated(
         self, first: int, stop: int, use: Flags
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Return force, rate (N, 3), speed, dv/dt (N,), the level force without motion (N, 2) and
-        the columns that show it without a speed, for the ticks of joined blocks.
+        """Return the signals of joined blocks for a drive without a speed signal.
+
+        The results are force (N, 3), rate (N, 3), speed (N,), dv/dt (N,), the horizontal force
+        without the motion (N, 2), and the columns of `unknown_speed` (N, columns).
         """
         assert self._axes is not None
         still = np.zeros(len(use)), np.zeros(len(use))
@@ -599,15 +657,15 @@ class Evidence:
         return force, rate, found.speed, found.accel, found.left, found.columns
 
     def _knots_of(self, run: list[Block]) -> Array:
-        """Return the times at which the speed of joined blocks is known [ticks since the first
-        began].
+        """Return the times at which the speed of joined blocks is known [ticks since the start of
+        the first block].
         """
         parts = [b.knots + k * wd.BLOCK for k, b in enumerate(run)]
         return np.concatenate(parts) - self.delay / TICK_S
 
     def _motion(self, first: int, stop: int, delay: float) -> tuple[Array, Array]:
-        """Return the speed and its slope in the ticks of joined blocks, for a speed with this delay
-        [s].
+        """Return the speed and its derivative in the ticks of joined blocks. delay: delay of the
+        speed [s].
         """
         early, late = (
             self._in_time(first, stop, lambda b: b.speed, delay, 0.5 * part) for part in (-1.0, 1.0)
@@ -617,7 +675,11 @@ class Evidence:
     def _in_time(
         self, first: int, stop: int, of: Callable[[Block], Array], delay: float, later: float = 0.0
     ) -> Array:
-        """Return a signal of joined blocks (N,) with this delay [s], moved by so many ticks."""
+        """Return a signal (N,) of joined blocks after correction of its delay.
+
+        of: function that returns the signal of a block. delay: delay of the signal [s]. later:
+        further shift towards later samples [ticks].
+        """
         before = first - 1 if first not in self._breaks else first
         after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
         series = np.concatenate([of(b) for b in self._blocks[before:after]])
@@ -626,10 +688,13 @@ class Evidence:
         return np.asarray(np.interp(t, at, series), dtype=float)
 
     def _level_from(self, left: Array, speed: Array, ahead: Array, use: Flags) -> None:
-        """Add the sums for gravity's mean level part, for each block, weighted by the distance
-        over which the slopes of roads change.
+        """Add one row of sums for each block, from which the mean of the horizontal gravity is
+        computed.
 
-        ahead: the speed along the direction of travel that the gear shows [m/s].
+        The weight of a tick is the distance driven in the tick. At high speed, slopes are longer,
+        so the weight is reduced. left: (N, 3) or (N, 2) force minus the motion's part [m/s^2].
+        speed: (N,) [m/s]. ahead: (N,) speed along the direction of travel that the gear shows
+        [m/s].
         """
         slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
         passed = np.abs(speed) / slow * use * TICK_S
@@ -648,21 +713,20 @@ class Evidence:
         self._rework(R_vehicle_from_sensor, R_vehicle_from_sensor.copy(), np.zeros(3))
 
     def solve_when_due(self) -> None:
-        """Solve after each block at first; later, solve when the evidence has grown by a
-        twentieth.
-        """
+        """Solve after each block at first. Later, solve when the evidence has grown by 5 %."""
         if len(self._blocks) >= self._due:
             self.solve()
             pause = len(self._blocks) // 20 if self._is_up_to(self._done) else 0
             self._due = len(self._blocks) + 1 + pause
 
     def solve(self) -> Solution | None:
-        """Return the solution of all evidence, or the earlier knowledge if there is too little
-        evidence.
+        """Return the solution from all evidence. If there is too little evidence, return the
+        previous solution; None if there was none.
 
-        For long evidence, one call makes only some of the windows again; the next calls continue.
+        If the evidence is long, one call computes only some of the windows again, and the next
+        calls continue.
 
-        Raises LinAlgError if no sensor could give these signals.
+        Raises LinAlgError if no sensor can produce these signals.
         """
         if self._axes is None and not self._find_first_axes():
             return self.solution
@@ -688,7 +752,9 @@ class Evidence:
 
     @property
     def known_sensor(self) -> KnownSensor | None:
-        """Knowledge that survives a move of the sensor or the end of the process."""
+        """Data of the sensor that stay valid after a move of the sensor or a restart of the
+        process.
+        """
         return self.known if self.solution is None else self.solution.sensor(self._priors)
 
     def _hypotheses(self) -> list[WeightedPrior]:
@@ -704,8 +770,10 @@ class Evidence:
         self._extend()
 
     def _find_first_axes(self) -> bool:
-        """Find the first axes: up from gravity, forward by complex least squares on dv/dt + i
-        v r.
+        """Find the first working axes. Returns False if the evidence is not sufficient.
+
+        The up direction is the direction of mean gravity. The forward direction is found by complex
+        least squares of the horizontal force on dv/dt + i v r.
         """
         if len(self._blocks) < BLOCKS_A_WINDOW:
             return False
@@ -739,13 +807,15 @@ class Evidence:
         return True
 
     def _find_principal_axes(self, level: Complex, turn: Array, R: Matrix3) -> bool:
-        """Find the first axes without a speed.
+        """Find the first working axes without a speed. Returns False if the evidence is not
+        sufficient.
 
-        Forward is the principal axis of the level force that turning does not explain. Left is the
-        side to which the force of bends points.
+        The part of the horizontal force that is proportional to the turn rate is subtracted.
+        Forward is the principal axis of the remaining force. Left is the side to which the force of
+        left bends points.
 
-        level: (N,) force ahead and left, as a complex number, in axes R (3, 3). turn: (N,) turn
-        rate, in any unit.
+        level: (N,) force ahead and force to the left as a complex number, in axes R (3, 3). turn:
+        (N,) turn rate, in any unit.
         """
         power, size = float(turn @ turn), float(np.vdot(level, level).real)
         if not (power > 0.0 and size > 0.0):
@@ -760,14 +830,17 @@ class Evidence:
         return True
 
     def _drives_backward(self) -> bool:
-        """True if the way driven is backward by the gear; a standing vehicle's is noise."""
+        """True if the vehicle drives mostly backward according to the gear. While the vehicle
+        stands, the small distances in the sums are noise.
+        """
         way = self._levels[:, 5]
         return bool(way.sum() < -BACKWARD * np.abs(way).sum())
 
     def _turn_round(self) -> None:
-        """Turn the axes round, as vehicles drive forward more than backward.
+        """Turn the axes round by 180 deg, because vehicles drive forward more than backward.
 
-        A drive backward with the sensor turned by 180 deg has the same forces and turns.
+        Driving backward gives the same forces and turn rates as driving forward with the sensor
+        turned by 180 deg.
         """
         assert self._axes is not None
         W, V, zero = self._axes
@@ -777,8 +850,8 @@ class Evidence:
         self._rework(round_up @ W, round_up @ V, round_up @ zero)
 
     def _look_for_delay(self) -> None:
-        """Find the delay of the speed at which the force follows dv/dt best, and the bands in which
-        it does.
+        """Find the delay of the speed for which the force fits dv/dt best. Also find the frequency
+        bands in which the force follows dv/dt.
         """
         cross, power = self._sums.followed
         power = np.maximum(power, 1e-12)
@@ -849,7 +922,9 @@ class Evidence:
         return self._applied(theta, covariance, same, against)
 
     def _answer_row(self, i: int, j: int) -> Array:
-        """Return the row (UNKNOWNS,) of the force's axis i for dv/dt (j = 0) or v r (j = 1)."""
+        """Return the row (UNKNOWNS,) for the response of the force's axis i to dv/dt (j = 0) or v r
+        (j = 1).
+        """
         row = entry(i, j)
         if i < 2:
             row[[PHI.start + 2, EPS.start + 2]] -= self._sums.leak[i, j]
@@ -859,14 +934,14 @@ class Evidence:
 
     @property
     def has_fitted(self) -> bool:
-        """True if the solution is from the present windows, or most of them."""
+        """True if the solution was computed from at least most of the present windows."""
         is_enough = len(self._sums) >= SEGMENTS[0]
         return is_enough and self.solution is not None and self._sums.has_fitted(self.signals.gyro)
 
     def move(self) -> Move | None:
         """Return the most likely rotation of the sensor in the last minutes.
 
-        Returns None if too little is known.
+        Returns None if there is too little evidence.
         """
         if not self.has_fitted:
             return None
@@ -878,8 +953,8 @@ class Evidence:
         return likeliest_move(entries, (len(self._blocks) - self._sums.began(spans)).tolist())
 
     def _answers_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
-        """Return the change of the responses to motion over each of these numbers of last road
-        segments.
+        """Yield the changes of the responses to motion. spans: numbers of last road segments, each
+        compared with all earlier segments.
         """
         priors, force, turning = self._priors, self._sums.force, self._sums.turning
         size, variance = force.changes(force.by_segment(to_last=True), spans)
@@ -896,13 +971,15 @@ class Evidence:
             yield EntryChange(rate_entry(i, 2)[PHI], size[i, :, 0], own, ROAD_TAIL)
 
     def creep(self, chance: float, shifts: int) -> Creep | None:
-        """Test whether the mount creeps; see `creep.creep`. None: too little evidence."""
+        """Test whether the mount creeps, see `creep.creep`. Returns None if there is too little
+        evidence.
+        """
         if not self.has_fitted:
             return None
         return creep(self._series(), chance, shifts)
 
     def _series(self) -> list[SegmentSeries]:
-        """Return the evidence about the rotation from the working axes, by road segment."""
+        """Return the evidence about the rotation relative to the working axes, by road segment."""
         made, sums = [], self._sums
         force = sums.force.scores(sums.force.by_segment())
         shown = [(force, k, *one) for k, answered in enumerate(self._answered) for one in answered]
@@ -918,7 +995,9 @@ class Evidence:
         return made + self._level_series()
 
     def _left_out(self, i: int, j: int) -> float:
-        """Return the variance of an answer from effects that the equations leave out."""
+        """Return the variance of a response to motion that comes from effects without a term in the
+        equations. i: axis. j: motion, as in `ANSWERS`.
+        """
         priors = self._priors
         if j == 2:
             return priors.turning[i] ** 2
@@ -929,7 +1008,7 @@ class Evidence:
         return priors.floor**2 + more.get((i, j), 0.0) ** 2
 
     def _level_series(self) -> list[SegmentSeries]:
-        """Return the evidence of the level force, by the same road segments."""
+        """Return the evidence from the horizontal force, by road segment."""
         along, across, weight, metres = self._levels_by_segment().T
         known = (1.0 + metres / SLOPE_M) / self._priors.slope**2 * (weight > 0.0)
         made = []
@@ -940,7 +1019,8 @@ class Evidence:
         return made
 
     def _levels_by_segment(self, to_last: bool = False) -> Array:
-        """Return sums (S, 4) of the level force over g, the weight and metres.
+        """Return sums (S, 4) for each road segment: the two components of the horizontal force
+        divided by g, the weight, and the distance [m].
 
         to_last: as in `response.segments_of`.
         """
@@ -950,7 +1030,9 @@ class Evidence:
         return np.asarray(levels / [GRAVITY, GRAVITY, 1.0, 1.0])
 
     def _levels_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
-        """Return the change of the level force over each of these numbers of last segments."""
+        """Yield the changes of the horizontal force. spans: numbers of last road segments, each
+        compared with the segments before the longest span.
+        """
         levels = self._levels_by_segment(to_last=True)
         began = (len(levels) - spans).tolist()
         parts = [(0, began[-1]), *((first, len(levels)) for first in began)]
@@ -977,8 +1059,8 @@ class Evidence:
         return out
 
     def _turning_measured(self) -> list[LinearMeasurement]:
-        """Return the measurement of the axis of turning (column 3 of the rate), and the mean slope
-        of the bends.
+        """Return the measurements of the axis of turning: column 3 of the rate's matrix, plus the
+        mean slope of the bends.
         """
         priors, out = self._priors, []
         found = self._sums.turning.respond(ALL_BANDS)
@@ -992,10 +1074,11 @@ class Evidence:
         return out
 
     def _vertical_measured(self) -> LinearMeasurement:
-        """Return the axis of turning against the vertical that the accelerometer shows, from the
-        filter of a drift.
+        """Return the axis of turning relative to the vertical from the accelerometer, as estimated
+        by the drift filter.
 
-        That filter knows the vertical on any slope, because it sees how the force turns in bends.
+        The drift filter estimates the vertical on any slope, because it uses the change of the
+        force's direction in bends.
         """
         assert self._axes is not None
         self._follow_drift()
@@ -1011,7 +1094,7 @@ class Evidence:
     def _applied(
         self, theta: Array, covariance: Array, same: float, against: float | None
     ) -> Solution:
-        """Correct the working axes by the remaining errors that were found."""
+        """Correct the working axes by the estimated errors, and return the solution."""
         assert self._axes is not None
         W, V, zero = self._axes
         mixed, tilted = own_matrices(theta)
@@ -1030,7 +1113,7 @@ class Evidence:
 
 
 def force_fits(signals: OtherSignals) -> Fits:
-    """Return the fit of the three axes of the force to the motion that these signals show."""
+    """Return the fits of the axes of the force to the motion that these signals show."""
     noise = USUAL_NOISE.copy()
     spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)
     columns = [(i, *_XS) for i in range(3)]
@@ -1047,18 +1130,22 @@ def force_fits(signals: OtherSignals) -> Fits:
 
 
 def _leaning(lateral: Array, accel: Array) -> Array:
-    """Return the roll and pitch rate (N, 2) of a body that leans with v r and dv/dt (N,)."""
+    """Return the roll rate and the pitch rate (N, 2) [rad/s] of a body that leans in proportion to
+    v r and dv/dt. lateral: (N,) v r [m/s^2]. accel: (N,) dv/dt [m/s^2].
+    """
     return np.column_stack(
         [ROLLS * np.gradient(lateral, TICK_S), -PITCHES * np.gradient(accel, TICK_S)]
     )
 
 
 def mean_slopes(blocks: Array, parts: NDArray[np.int_], slope: float) -> tuple[Array, Array]:
-    """Return the means (K, 2) of the slopes of roads, and their variances (K, 2).
+    """Return the mean slopes of roads (K, 2), and the variances of these means (K, 2).
 
-    blocks: (n, 4) per block the weighted sums along and across, the weight, and metres. parts: (K,
-    2) first block and end of each mean. slope: expected deviation of a road's slope. Slopes that
-    last longer than expected widen the spread between stretches, as in `response`.
+    blocks: (n, 4) for each block the weighted sum of slopes along the vehicle, the weighted sum of
+    slopes across the vehicle, the weight, and the distance [m]. parts: (K, 2) index of the first
+    block of each mean, and index after the last block. slope: expected deviation of a road's slope.
+    If slopes last longer than expected, the spread between road segments is larger than expected.
+    The variance is then multiplied by the measured ratio.
     """
     sums = np.zeros((len(blocks) + 1, 4))
     np.cumsum(blocks, axis=0, out=sums[1:])
@@ -1086,10 +1173,12 @@ def mean_slopes(blocks: Array, parts: NDArray[np.int_], slope: float) -> tuple[A
 
 
 def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, float]:
-    """Return the mean slope across, and its variance, for a path whose curvature has a zero error.
+    """Return the mean slope across the vehicle, and the variance of this mean, for a path whose
+    curvature has an unknown zero error.
 
-    blocks: (n, 5) as in `mean_slopes`, and the weighted squares of the speed over g. variance: of
-    that mean. bend: deviation of the zero of the curvature [1/m].
+    blocks: (n, 5) columns as in `mean_slopes`, and the weighted sum of squares of the speed divided
+    by g. variance: variance of the mean without a zero error. bend: deviation of the curvature's
+    zero error [1/m].
     """
     weight = blocks[:, 2]
     share, square = weight / weight.sum(), blocks[:, 4] / np.maximum(weight, 1e-9)
@@ -1103,8 +1192,8 @@ def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, fl
 
 
 def _by_window(x: NDArray[Any]) -> NDArray[Any]:
-    """Return windows (n, WINDOW, ...) of the ticks (N, ...) of joined blocks, one for each
-    block.
+    """Return windows (n, WINDOW, ...) of the ticks (N, ...) of joined blocks. Successive windows
+    start one block apart.
     """
     blocks = x.reshape(-1, wd.BLOCK, *x.shape[1:])
     n = len(blocks) - BLOCKS_A_WINDOW + 1

@@ -33,10 +33,11 @@ class LinearMeasurement(NamedTuple):
 def fuse(
     hypotheses: Sequence[WeightedPrior], measured: Sequence[LinearMeasurement], taken: Array
 ) -> tuple[Array, Array, Array]:
-    """Return mean and covariance of the unknowns beyond `taken`, and the probability of each
-    hypothesis.
+    """Return the mean of the unknowns minus `taken`, the covariance of the unknowns, and the
+    probability of each hypothesis.
 
-    The result is the mean over all hypotheses, weighted by their probabilities given the data.
+    The mean is computed over all hypotheses, weighted by their probabilities after the
+    measurements. taken: (UNKNOWNS,) part of the unknowns that the working axes already correct.
     """
     rows, values, noise = _stacked(measured, taken)
     found = [_fused(h, rows, values, noise) for h in hypotheses]
@@ -54,10 +55,11 @@ def fuse(
 def contradiction(
     before: WeightedPrior, measured: Sequence[LinearMeasurement], taken: Array
 ) -> float:
-    """Return the chi-square (3) of the rotation that the data show against that of `before`.
+    """Return the chi-square, with three degrees of freedom, of the rotation from the measurements
+    against the rotation of the prior `before`.
 
-    Both depend on the same terms of the sensor. The rotation is therefore left free, and compared
-    with the one that `before` expects for the terms that are found.
+    Both rotations depend on the same terms of the sensor. The rotation is therefore fitted without
+    a prior. The result is compared with the rotation that `before` predicts for the fitted terms.
     """
     P, terms = before.covariance, np.arange(PHI.stop, UNKNOWNS)
     free = P.copy()
@@ -72,7 +74,7 @@ def contradiction(
 
 
 def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
-    """Return priors of an unknown sensor, one for each size of cross-axis errors."""
+    """Return the priors of an unknown sensor, one prior for each size of the cross-axis errors."""
     made = []
     for cross, part in priors.cross_axis:
         std = np.full(UNKNOWNS, FREE)
@@ -86,7 +88,9 @@ def any_sensor(priors: Priors, chance: float = 1.0) -> list[WeightedPrior]:
 
 
 def _stacked(measured: Sequence[LinearMeasurement], taken: Array) -> tuple[Array, Array, Array]:
-    """Return rows, values and covariance of all measurements about the unknowns before `taken`."""
+    """Return rows, values and covariance of all measurements together. The values are relative to
+    the axes before any correction: `rows @ taken` is added.
+    """
     rows = np.vstack([m.rows for m in measured])
     values = np.concatenate([m.values for m in measured]) + rows @ taken
     noise = np.zeros((len(values), len(values)))

@@ -1,12 +1,14 @@
-"""Knowledge about a sensor itself: it survives a drive, a restart and a new mount.
+"""Data of a sensor itself, which stay valid after a drive, after a restart and in a new mount.
 
-Terms of the sensor are stored in its own axes, where a rotation of the housing does not change
-them. Terms that no drive can see, among them the gains, have their prior deviation. In a rotated
-housing they become cross-axis terms.
+The terms of the sensor are stored in the sensor's own axes. A rotation of the housing does not
+change the terms in these axes. Some terms cannot be estimated from a drive, for example the gains.
+These terms keep their prior deviation. If the housing is rotated, these terms become cross-axis
+terms of the new axes.
 
-The result of the previous drive is one hypothesis. The others are that the sensor was moved since,
-and that it is another sensor. Each hypothesis is a prior; the data determine its probability. A
-hypothesis that contradicts the data loses its weight.
+There are several hypotheses about the time since the previous drive. One hypothesis is that nothing
+has changed. Two hypotheses are that the sensor was moved by a small angle or by any angle. The last
+hypothesis is that another sensor is mounted. Each hypothesis is a prior, and its probability is
+computed from the data. A hypothesis that contradicts the data gets little weight.
 """
 
 from __future__ import annotations
@@ -47,24 +49,31 @@ from imucald.mount.priors import BIAS_DRIFT_STD
 
 TURN, ACCEL, BIAS, GYRO = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 24)
 TERMS = 24
-"""Number of terms: rotation of the housing (vehicle axes), accelerometer's matrix, its zero over g,
-gyroscope's matrix.
+"""Number of terms: rotation of the housing in vehicle axes (3), the accelerometer's matrix (9), the
+accelerometer's zero error divided by g (3), and the gyroscope's matrix (9).
 """
 PROBABLY_OTHER = 0.005
-"""Probability that a sensor was exchanged or changed since (assumption)."""
+"""Probability that another sensor is mounted, or that the sensor itself has changed, since the
+previous drive (assumption).
+"""
 PROBABLY_MOVED: Final = ((0.1, 0.005), (FREE, 0.005))
-"""Deviation of a rotation in between [rad] and its probability: somebody touched or remounted the
-sensor (assumption; one start in a hundred).
+"""Standard deviation of a rotation between two drives [rad], and probability of this rotation. A
+rotation happens if somebody touches or remounts the sensor (assumption: one start in a hundred).
 """
 AS_BEFORE = 0
 """Index of the hypothesis that nothing has changed."""
 CHANCE_AS_BEFORE = (1.0 - PROBABLY_OTHER) * (1.0 - sum(chance for _, chance in PROBABLY_MOVED))
-"""Probability, at the start, that nothing has changed."""
+"""Probability at the start of a drive that nothing has changed."""
 LARGEST = 1.0
-"""Largest value of any term and of its deviation: no real sensor exceeds it."""
+"""Limit for the size of every term, and limit for the standard deviation of every term. The terms
+of a real sensor are smaller than this limit.
+"""
 APART = 0.2
-"""The rotation nearest to a sensor's matrix differs from the housing's by the cross-axis terms,
-some hundredths. Beyond this limit the two belong to different mounts.
+"""Largest difference between an element of the stored rotation and the same element of the
+housing's rotation.
+
+Within one mount, cross-axis terms cause a difference of some hundredths. If the difference is
+larger than the limit, the rotations belong to different mounts.
 """
 DIGITS = 9
 _UPPER = np.triu_indices(TERMS)
@@ -72,10 +81,12 @@ _XY, _YX, _XZ, _YZ = (GYRO.start + k for k in (1, 3, 2, 5))
 
 
 class KnownSensor(NamedTuple):
-    """rotation: R_vehicle_from_sensor (3, 3) at that time.
+    """Stored data of a sensor.
 
-    mean (TERMS,), covariance (TERMS, TERMS): of the housing's rotation about it in vehicle axes,
-    and of the terms in sensor axes.
+    rotation: (3, 3) R_vehicle_from_sensor of the housing when the data were stored. mean: (TERMS,)
+    mean of the terms. covariance: (TERMS, TERMS) covariance of the terms. The first three terms are
+    a small rotation of the housing relative to `rotation`, in vehicle axes. The other terms are in
+    sensor axes.
     """
 
     rotation: Matrix3
@@ -86,7 +97,11 @@ class KnownSensor(NamedTuple):
     def found(
         cls, rotation: Matrix3, mean: Array, covariance: Array, priors: Priors
     ) -> KnownSensor:
-        """Return the knowledge from the unknowns (UNKNOWNS,) about the housing's present axes."""
+        """Return the sensor data that follow from an estimate of the unknowns.
+
+        rotation: (3, 3) R_vehicle_from_sensor of the housing. mean, covariance: (UNKNOWNS,) and
+        (UNKNOWNS, UNKNOWNS) of the unknowns, relative to the present axes of the housing.
+        """
         place = np.zeros((TERMS, UNKNOWNS))
         place[TURN, PHI] = np.eye(3)
         for k, (i, j) in enumerate(OFF):
@@ -105,8 +120,8 @@ class KnownSensor(NamedTuple):
         return cls(rotation, turned @ place @ mean, turned @ whole @ turned.T)
 
     def turned(self, by: Array, variance: Array) -> KnownSensor:
-        """Return the knowledge of a housing that has turned since by a vector (3,) about the
-        vehicle's axes [rad], with its variance (3,).
+        """Return the data after a rotation of the housing. by: (3,) rotation vector in vehicle axes
+        [rad]. variance: (3,) variance of this rotation [rad^2].
         """
         covariance = self.covariance.copy()
         covariance[TURN, TURN] += np.diag(variance)
@@ -115,18 +130,21 @@ class KnownSensor(NamedTuple):
         )
 
     def away(self) -> KnownSensor:
-        """Return the same knowledge with the wider deviations after parking: cold sensor, another
-        load."""
+        """Return the same data with larger deviations, because the sensor may be cold after parking
+        and the load of the vehicle may have changed.
+        """
         wider = np.zeros(TERMS)
         wider[TURN] = np.square(BETWEEN_DRIVES_STD)
         wider[BIAS] = (BIAS_DRIFT_STD / GRAVITY) ** 2
         return self._replace(covariance=self.covariance + np.diag(wider))
 
     def hypotheses(self, axes: Matrix3, priors: Priors, is_moved: bool) -> list[WeightedPrior]:
-        """Return the possible changes since, as priors about working axes (3, 3).
+        """Return hypotheses about the changes since the data were stored, as priors relative to
+        working axes (3, 3).
 
-        is_moved: the sensor was certainly moved. Another sensor is not among them; they share the
-        rest of the probability.
+        is_moved: the sensor was certainly moved. The result does not contain the hypothesis of
+        another sensor. The probabilities in the result therefore add up to 1 minus
+        `PROBABLY_OTHER`.
         """
         mean, covariance = self._about(axes, priors)
         sizes = ((FREE, 1.0),) if is_moved else PROBABLY_MOVED
@@ -141,7 +159,7 @@ class KnownSensor(NamedTuple):
         return made
 
     def _about(self, axes: Matrix3, priors: Priors) -> tuple[Array, Array]:
-        """Return mean and covariance of the unknowns about working axes (3, 3)."""
+        """Return mean and covariance of the unknowns relative to working axes (3, 3)."""
         take = np.zeros((UNKNOWNS, TERMS))
         turned = _turned(axes)
         take[PHI, TURN] = np.eye(3)
@@ -156,10 +174,11 @@ class KnownSensor(NamedTuple):
         return mean, covariance
 
     def correction(self, R_vehicle_from_sensor: Matrix3) -> Correction:
-        """Return the correction for the earlier mount, whose rotation is given for the housing.
+        """Return the correction of the samples in the earlier mount. R_vehicle_from_sensor: (3, 3)
+        rotation of the housing.
 
-        Raises EstimateError if rotation and matrix are not of one mount, or no sensor has such
-        terms.
+        Raises EstimateError if this rotation and the stored data belong to different mounts, or if
+        no sensor has such terms.
         """
         R = self.rotation
         if np.abs(R_vehicle_from_sensor - R).max() > APART:
@@ -175,9 +194,7 @@ class KnownSensor(NamedTuple):
         return Correction.with_matrices(R_vehicle_from_sensor, force, rate, zero)
 
     def sent(self) -> SentDeviations:
-        """Return the deviations that this correction leaves in the samples, in the earlier
-        mount.
-        """
+        """Return the deviations of samples after `correction`, in the earlier mount."""
         return sent_deviations(sent_variance(self._about(self.rotation, Priors())[1]))
 
     def plain(self) -> dict[str, Any]:
@@ -190,8 +207,8 @@ class KnownSensor(NamedTuple):
 
 
 def known_from(content: object) -> KnownSensor:
-    """Return the knowledge from the result of `plain`; raises EstimateError where it makes no
-    sense.
+    """Return the sensor data from a result of `plain`. Raises EstimateError if the content is not
+    valid.
     """
     try:
         if not isinstance(content, Mapping):
@@ -222,8 +239,8 @@ def _numbers(values: object, n: int) -> Array:
 
 
 def _turned(R: Matrix3) -> Array:
-    """Return the matrix (TERMS, TERMS) of a rotation R of the axes for all terms but the housing's
-    rotation.
+    """Return the matrix (TERMS, TERMS) that transforms the terms into axes rotated by R. The terms
+    of the housing's rotation stay unchanged.
     """
     made = np.eye(TERMS)
     made[ACCEL, ACCEL] = made[GYRO, GYRO] = np.kron(R, R)

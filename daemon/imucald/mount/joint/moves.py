@@ -1,12 +1,13 @@
-"""Detect a move of the sensor.
+"""Detect a move of the sensor in its mount.
 
-The data after each possible time of a move are compared with the data before it. A move turns both
-sensors by one angle about an axis of the vehicle. The rotation changes the responses of the force
-to motion, the axis of turning and the level force. The terms of the sensor itself stay the same.
-For each possible beginning in the last minutes, the change of every entry is fitted together with
-all constant coefficients (`FitSums.changes`). The likelihoods of all sizes of a rotation about an
-axis, each entry with heavy tails, give one ratio against no rotation. The sum of these ratios over
-the beginnings is the statistic of Shiryaev and Roberts, as in `drift`.
+The data after each possible time of a move are compared with the data before this time. Several
+such times in the last minutes are tested. A move turns both sensors by the same angle about one
+axis of the vehicle. The rotation changes the responses of the force to motion, the axis of turning,
+and the horizontal force. The terms of the sensor itself stay the same. For each tested time, the
+change of every entry is fitted together with all constant coefficients (`FitSums.changes`). The
+errors of an entry have heavy tails. The likelihood is averaged over the axes and the sizes of the
+rotation, and divided by the likelihood without a rotation. The sum of these ratios over the tested
+times is the statistic of Shiryaev and Roberts, as in `drift`.
 """
 
 from __future__ import annotations
@@ -31,20 +32,22 @@ LEAST_BEFORE = 6
 """Smallest number of road segments before a move."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
-"""Rotations that are tested, with equal probabilities [rad]: a rotation of less than 1 deg misleads
-no consumer.
+"""Angles of rotation that are tested, with equal probabilities [rad]. Rotations of less than 1 deg
+are not tested, because the effect on the results is small.
 """
 ROAD_TAIL = 30.0
-"""Degrees of freedom of the errors in evidence that depends on roads: the variance already contains
-the length of stretches of road.
+"""Degrees of freedom (Student's t distribution) of the errors in evidence that depends on roads.
+The variance of this evidence already takes into account how long a slope lasts.
 """
 _LOG_BEGINNINGS: Final = math.log(FALSE_ALARM_H * 3600.0 / (SEGMENTS[0] * BLOCK_TICKS * TICK_S))
 
 
 class EntryChange(NamedTuple):
-    """Changes (S,) of an entry over the last spans, and their variances (S,).
+    """Changes of an entry of the error matrix over the last spans of road segments.
 
-    turn: (3,) decrease of the entry for a unit rotation about each axis. tail: degrees of freedom.
+    turn: (3,) decrease of the entry for a unit rotation about each axis. size: (S,) change of the
+    entry over each span. variance: (S,) variance of each change. tail: degrees of freedom
+    (Student's t distribution) of the errors.
     """
 
     turn: Array
@@ -54,11 +57,12 @@ class EntryChange(NamedTuple):
 
 
 class Move(Struct, frozen=True):
-    """Most likely rotation: axis (0 roll, 1 pitch, 2 yaw), size [rad], and blocks since then.
+    """Most likely rotation of the sensor.
 
-    deviations: the root of twice the log of the ratio of likelihoods, signed. log_odds: log of the
-    statistic over its threshold. Above zero the sensor was moved; a false alarm comes once in
-    `FALSE_ALARM_H`.
+    axis: 0 roll, 1 pitch, 2 yaw. size: angle [rad]. blocks: number of blocks since the move.
+    deviations: root of twice the largest log likelihood ratio, with the sign of `size`. log_odds:
+    logarithm of the statistic divided by its threshold. Above zero, the move is certain. At most
+    one false alarm is expected in `FALSE_ALARM_H` hours.
     """
 
     axis: int
@@ -74,14 +78,16 @@ class Move(Struct, frozen=True):
 
     @property
     def doubt(self) -> float:
-        """Additional deviation while the move is not certain, weighted by its probability [rad]."""
+        """Additional standard deviation of the angle because of a move that is not certain [rad],
+        weighted by the probability of the move.
+        """
         return abs(self.size) * math.sqrt(probability(self.log_odds))
 
 
 def likeliest_move(entries: Sequence[EntryChange], blocks: Sequence[int]) -> Move:
     """Return the move that fits the changes of all entries best.
 
-    blocks: blocks since the beginning of each span.
+    blocks: number of blocks since the beginning of each span.
     """
     turn, change, variance, tails = (np.array(x) for x in zip(*entries, strict=True))
     tail = tails[:, None, None, None]

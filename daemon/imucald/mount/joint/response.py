@@ -1,8 +1,9 @@
 """Weighted least squares on the windows of a drive: response of the force to dv/dt and v r.
 
-The noise of each band is learnt for the drive, and its factor for each window: loud windows get
-less weight, and quiet ones more. The deviations come from the spread between road segments of two
-lengths (sandwich; White, Econometrica 48, 1980).
+The noise of each frequency band is estimated for the drive. A noise factor is estimated for each
+window. Windows with much noise get less weight, and windows with little noise get more weight. The
+deviations of the coefficients come from the spread between road segments, for two lengths of the
+segments (sandwich estimator; White, Econometrica 48, 1980).
 """
 
 from __future__ import annotations
@@ -16,27 +17,32 @@ from imucald.core.arrays import Array, inverse
 from imucald.drive.windows import BAND, BANDS, OVERLAP
 
 SEGMENTS: Final = (4, 16)
-"""Windows of a road segment, for both lengths: 26 s and 102 s."""
+"""Number of windows of a road segment, for both lengths: 26 s and 102 s."""
 FREEDOM = 8.0
-"""Degrees of freedom of the ratio between a window's noise and the drive's (Student's t).
+"""Degrees of freedom (Student's t distribution) of the ratio between a window's noise and the noise
+of the drive.
 
-A fit of this number to the residuals of four simulated drives, two of second_world and three
-measured ones gives 1 to 12: roads and driving differ. Few windows need the larger ones.
+This number was fitted to the residuals of four simulated drives, two drives of second_world and
+three measured drives. The results are 1 to 12, because roads and driving styles differ. A fit of
+few windows needs a number near the upper end of this range.
 """
 PASSES, MORE_PASSES = 4, 2
-"""Number of iterations of a fit from nothing, and of a fit from the previous solution."""
+"""Number of iterations of a first fit, and number of iterations of a fit that starts from the
+previous solution.
+"""
 NOISE_WINDOWS = 3.0
-"""Weight of the usual noise, in windows."""
+"""Weight of the expected noise against the noise of the drive, in windows."""
 PRIOR_SEGMENTS, PRIOR_RATIO = 5.0, 2.0
-"""Prior for the spread of few segments: a variance ratio of 2, worth five segments.
+"""Prior of the ratio between the variance from the spread of road segments and the variance of the
+model: weight of the prior in segments, and ratio.
 
-The prior was set on the drives that `state.Priors` names.
+The values were chosen on the drives that are listed in `state.Priors`.
 """
 _BINS = np.bincount(BAND, minlength=BANDS).astype(float)
 
 
 class Packing:
-    """Stores the upper triangle of a symmetric matrix of some columns as one row."""
+    """Stores the upper triangle of a symmetric matrix as one row."""
 
     def __init__(self, columns: int) -> None:
         self.columns = columns
@@ -47,28 +53,29 @@ class Packing:
         self._places[self._i, self._j] = self._places[self._j, self._i] = np.arange(self.size)
 
     def packed(self, products: Array, columns: tuple[int, ...]) -> Array:
-        """Return rows (..., size) of these columns of matrices."""
+        """Return rows (..., size) for these columns of symmetric matrices."""
         pick, all_of = np.array(columns), products.shape[-1]
         flat = products.reshape(*products.shape[:-2], all_of**2)
         return np.asarray(flat.take(pick[self._i] * all_of + pick[self._j], axis=-1))
 
     def matrices(self, rows: Array) -> Array:
-        """Return matrices (..., columns, columns) of rows."""
+        """Return the matrices (..., columns, columns) of rows (..., size)."""
         return np.asarray(rows[..., self._places])
 
     def form(self, v: Array) -> Array:
-        """Return the quadratic form v' G v as factors of a row of G: (..., size) of vectors (...,
-        columns).
+        """Return the factors (..., size) of the quadratic form v' G v for vectors v (..., columns).
+        The sum of the factors times a row of G is the value of the form.
         """
         return np.asarray(v[..., self._i] * v[..., self._j] * self._twice)
 
 
 class Responses(NamedTuple):
-    """Result of each fit: coefficients (F, keep), covariance (F, keep, keep), and the effective
-    number of segments.
+    """Results of F fits.
 
-    vector: (F, 1 + p) factors that turn a window's columns into its residual. noise: (F, BANDS),
-    infinite in bands that do not count. trust: (F, n) weight of each window that these show.
+    value: (F, keep) coefficients. covariance: (F, keep, keep) covariance of the coefficients.
+    segments: (F, keep) effective number of road segments. vector: (F, 1 + p) factors that compute
+    the residual from the columns of a window. noise: (F, BANDS) noise of each frequency band,
+    infinite in unused bands. trust: (F, n) weight of each window, computed from its residual.
     """
 
     value: Array
@@ -80,29 +87,35 @@ class Responses(NamedTuple):
 
 
 def trust_in(left: Array, noise: Array) -> Array:
-    """Return the weight (F, n) of windows with the residual power (F, n, BANDS): the expected
-    inverse of each window's own noise (Lange, Little and Taylor, JASA 84, 1989).
+    """Return the weights (F, n) of windows. left: (F, n, BANDS) residual power. noise: (F, BANDS).
+
+    The weight is the expected inverse of the window's noise factor (Lange, Little and Taylor, JASA
+    84, 1989).
     """
     power = (2.0 / OVERLAP) * (left / noise[:, None]).sum(axis=2)
     return np.asarray((FREEDOM + _values(np.isfinite(noise[0]))) / (FREEDOM + power))
 
 
 def _values(bands: NDArray[np.bool_]) -> float:
-    """Return the number of independent values of a window in these bands."""
+    """Return the number of independent values of a window in these frequency bands."""
     return float(2.0 * _BINS[bands].sum() / OVERLAP)
 
 
 def left_of(rows: Array, vector: Array, packing: Packing) -> Array:
-    """Return the residual power (F, n, BANDS) of fits (F, 1 + p) in windows (F, n, BANDS, size)."""
+    """Return the residual power (F, n, BANDS) of fits in windows. rows: (F, n, BANDS, size) packed
+    windows. vector: (F, 1 + p) factors of each fit.
+    """
     flat = rows.reshape(len(rows), -1, packing.size)
     made = (flat @ packing.form(vector)[:, :, None]).reshape(rows.shape[:3])
     return np.asarray(np.maximum(made, 1e-12 * rows[..., 0] + 1e-15))
 
 
 def segments_of(old: int, rows: int, to_last: bool = False) -> NDArray[np.int_]:
-    """Return the road segment (rows,) of each row, the first `old` of which are segments.
+    """Return the index of the road segment (rows,) of each row. The first `old` rows are whole
+    segments, and the other rows are windows.
 
-    to_last: segments end with the last row; otherwise they begin with the first after the old ones.
+    to_last: True: the last segment ends with the last row. False: the first new segment begins with
+    the first window.
     """
     length, single = SEGMENTS[0], np.arange(rows - old)
     shift = -(rows - old) % length if to_last else 0
@@ -110,7 +123,9 @@ def segments_of(old: int, rows: int, to_last: bool = False) -> NDArray[np.int_]:
 
 
 def grown(ratio: Array, segments: Array | int) -> Array:
-    """Return the factor on a variance for a measured ratio of the variances of some segments."""
+    """Return the factor by which a variance is multiplied. ratio: measured ratio of variances.
+    segments: number of segments from which the ratio was measured.
+    """
     return np.asarray(
         (PRIOR_SEGMENTS * PRIOR_RATIO + segments * ratio) / (PRIOR_SEGMENTS + segments)
     )
@@ -128,12 +143,13 @@ def respond(
     noise: Array | None = None,
     trust: Array | None = None,
 ) -> Responses:
-    """Fit column 0 on the others, in F fits at once.
+    """Fit column 0 on the other columns, in F fits at once.
 
-    rows: (F, n, BANDS, size) packed, the first `old` of them road segments. counts: (F, n) windows
-    in each, by weight. usual: (F, BANDS) expected noise. spread: (F, p) prior deviations. keep:
-    number of coefficients to return. bands: bands that count. noise, trust: those of the previous
-    fit, if it was of most of these windows.
+    rows: (F, n, BANDS, size) packed products. The first `old` rows are road segments, and the other
+    rows are windows. counts: (F, n) weighted number of windows in each row. usual: (F, BANDS)
+    expected noise. spread: (F, p) prior deviations of the coefficients. keep: number of
+    coefficients to return. bands: (BANDS,) flags of the used bands. noise, trust: results of the
+    previous fit, if the previous fit used most of these windows.
     """
     fits, p = len(rows), packing.columns - 1
     bins = np.where(bands, _BINS, 0.0)
@@ -186,9 +202,11 @@ def respond(
 def _effective_segments(
     each: Array, covariances: Array, packing: Packing, segment: NDArray[np.int_]
 ) -> Array:
-    """Return the effective number of road segments (F, keep) behind the coefficients.
+    """Return the effective number of road segments (F, keep) from which each coefficient is
+    estimated.
 
-    each: (F, n, size) weighted windows. covariances: (F, keep, p) their rows of the covariance.
+    each: (F, n, size) weighted windows. covariances: (F, keep, p) rows of the covariance for the
+    coefficients.
     """
     picked = np.concatenate([np.zeros((*covariances.shape[:2], 1)), covariances], axis=2)
     part = each @ packing.form(picked).swapaxes(1, 2)
@@ -198,7 +216,9 @@ def _effective_segments(
 
 
 def _by_place(values: Array, place: NDArray[np.int_], places: int) -> Array:
-    """Return sums (F, places, m) of values (F, n, m) by their places (n,), which never decrease."""
+    """Return sums (F, places, m) of values (F, n, m) with the same place. place: (n,) in ascending
+    order.
+    """
     made = np.zeros((len(values), places, values.shape[2]))
     starts = np.flatnonzero(np.diff(place, prepend=-1))
     made[:, place[starts]] = np.add.reduceat(values, starts, axis=1)

@@ -1,7 +1,7 @@
-"""The unknowns of the joint estimate, with unit, prior and source.
+"""The unknowns of the joint estimate: units, priors and sources of the priors.
 
-All unknowns are about the working axes, in which force and rate are nearly along the vehicle's
-axes:
+All unknowns are errors of the working axes. Force and rate in the working axes are nearly along the
+vehicle's axes:
 
     force = (1 + E) true force + g b      E = [phi x] + e
     rate  = (1 + C) true rate             C = [phi x] + [(0, 0, eps_z) x] + tilt of column z
@@ -21,35 +21,39 @@ from imucald.mount.estimate import SentDeviations
 from imucald.mount.priors import CROSS_AXIS
 
 OFF: Final = ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1))
-"""Places of the cross-axis terms e in a matrix."""
+"""Positions of the cross-axis terms e in the matrix E."""
 TURN: Final = {
     (0, 1): (2, -1.0), (1, 0): (2, 1.0), (0, 2): (1, 1.0), (2, 0): (1, -1.0), (1, 2): (0, -1.0),
     (2, 1): (0, 1.0),
 }  # fmt: skip
-"""Axis and sign of the rotation phi at each place of [phi x]."""
+"""Axis and sign of the rotation phi at each position of the matrix [phi x]."""
 PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
 NO_TURN: Final = np.zeros(3)
 UNKNOWNS = 15
 MOST_GAIN = 1.45
-"""Largest gain of a sensor's matrix along any direction: four deviations of cross-axis terms of 8
-%, the largest size that is tested, in two places.
+"""Largest gain of a sensor's matrix in any direction.
+
+The value is 1 plus four standard deviations of the sum of two cross-axis terms of 8 %. The size of
+8 % is the largest size of cross-axis terms that is tested.
 """
 SLOPE, SLOPE_M = 0.02, 400.0
-"""Slope of a road (tangent), and metres after which the slope is independent: twice its correlation
-length.
+"""Standard deviation of a road's slope (tangent), and distance [m] between two independent slopes.
+This distance is twice the correlation length of the slope.
 """
 FREE = 10.0
-"""Prior deviation of an unknown rotation [rad]."""
+"""Prior standard deviation of an unknown rotation [rad]."""
 
 
 class OtherSignals(NamedTuple):
-    """Signals besides the accelerometer.
+    """Available signals in addition to the accelerometer.
 
-    gyro: the sensor has a gyroscope. Without one, the vertical is not carried and slopes are noise
-    of the level force. The vehicle's bus then gives the turn rate, with the delay `late` [s].
-    turns: any signal shows turns. bend: deviation of the path's curvature from the zero of a
-    steering angle [1/m]. speed: without one it is an unknown (`unknown_speed`). steered: how the
-    turn rate follows from a steering angle and that unknown; None: it does not.
+    gyro: the sensor has a gyroscope. Without a gyroscope, the vertical is not integrated, and
+    slopes are noise of the horizontal force. The turn rate then comes from the vehicle's bus. late:
+    delay of this turn rate [s]. turns: any signal shows turns. bend: standard deviation of the
+    path's curvature from the zero error of a steering angle [1/m]. speed: there is a speed signal.
+    Without a speed signal, the speed is an unknown (`unknown_speed`). steered: relation between a
+    steering angle, the unknown speed and the turn rate; None: the turn rate does not come from a
+    steering angle.
     """
 
     gyro: bool = True
@@ -61,7 +65,9 @@ class OtherSignals(NamedTuple):
 
 
 class WeightedPrior(NamedTuple):
-    """One prior of the unknowns: mean (UNKNOWNS,), covariance (UNKNOWNS, UNKNOWNS), probability."""
+    """One prior of the unknowns: mean (UNKNOWNS,), covariance (UNKNOWNS, UNKNOWNS), and probability
+    of the prior.
+    """
 
     mean: Array
     covariance: Array
@@ -69,52 +75,65 @@ class WeightedPrior(NamedTuple):
 
 
 class Priors(NamedTuple):
-    """Deviations of the unknowns before any data, and of effects that the equations leave out.
+    """Standard deviations of the unknowns before any data, and of effects without a term in the
+    equations.
 
-    Data sheets are named. Sideslip, pitching and turning were set on drives of second_world, of one
-    more simulator, and of the simulated seeds 970000 to 970006. None of these drives judges the
+    Sources are data sheets or simulated drives. Data sheets are named at each value. Sideslip,
+    pitching and turning were chosen on drives of second_world, on drives of another simulator, and
+    on the simulated drives with the seeds 970000 to 970006. None of these drives is used to judge
     results.
     """
 
     cross_axis: tuple[tuple[float, float], ...] = CROSS_AXIS
     """Sizes of the accelerometer's cross-axis terms, each with its probability."""
     gain: float = 0.013
-    """Gain of one axis of the accelerometer against the others: within 3 % (MPU-6050, 6.2)."""
+    """Gain of one axis of the accelerometer relative to the other axes: within 3 % (MPU-6050, 6.2).
+    """
     zero: float = 0.3
-    """Zero error of the level force [m/s^2]: limits of 50 mg (MPU-6050, 6.2), root of three."""
+    """Zero error of the horizontal force [m/s^2]: the limit of 50 mg (MPU-6050, 6.2) divided by the
+    root of three.
+    """
     gyro: float = 0.02
-    """Tilt and turn of the gyroscope's axes against the accelerometer's [rad] (MPU-6050, 6.1)."""
+    """Rotation of the gyroscope's axes relative to the accelerometer's axes [rad] (MPU-6050, 6.1).
+    """
     crown: tuple[float, float] = (0.012, 0.006)
-    """Mean lean of the roads and its deviation (tangent)."""
+    """Mean lean of the roads, and standard deviation of this mean (tangent)."""
     slope: float = SLOPE
     slow: float = 15.0
-    """Speed [m/s] from which slopes become longer in proportion to the speed: curves of crests and
-    sags are built for the sight distance of the design speed (assumption; AASHTO's more so).
+    """Speed [m/s] above which the length of slopes grows in proportion to the speed.
+
+    The length of crests and sags is designed for the sight distance at the design speed
+    (assumption). In the rules of AASHTO, the length grows more than in proportion to the speed.
     """
     sideslip: float = 0.0025
-    """E_xy: deviation from the slip of tyres in bends."""
+    """Deviation of E_xy from the slip of tyres in bends."""
     pitching: float = 0.0035
-    """E_zx: deviation from heave and squat in response to dv/dt."""
+    """Deviation of E_zx from heave and squat in response to dv/dt."""
     turning: tuple[float, float] = (0.008, 0.004)
-    """Axis of turning, x and y.
+    """Deviations of the axis of turning in x and y.
 
-    A vehicle that rolls in bends rolls about its own axis, and the slope of bends is not that of
-    the other road.
+    The body of a vehicle rolls in bends about its own axis. The slope of roads in bends differs
+    from the slope of straight roads.
     """
     bent: float = 0.003
-    """Axis of turning in bends: a gyroscope responds to force by 0.1 (deg/s)/g (MPU-6050, 6.1).
+    """Deviation of the axis of turning in bends from the response of a gyroscope to force: 0.1
+    (deg/s)/g (MPU-6050, 6.1).
 
-    The value is for 3 m/s^2 while the vehicle turns by 0.2 rad/s.
+    The value is for a force of 3 m/s^2 and a turn rate of 0.2 rad/s.
     """
     eliminated: tuple[float, float] = (0.012, 0.005)
-    """E_xy and E_yx: deviation from effects on a speed that is not measured.
+    """Deviations of E_xy and E_yx from errors of an estimated speed, in drives without a speed
+    signal.
 
-    Set on drives 01 and 02 of second_world and the simulated seeds 9000 to 9009.
+    The values were chosen on the drives 01 and 02 of second_world and the simulated drives with the
+    seeds 9000 to 9009.
     """
     uncarried: float = 0.05
-    """E_xy: the same without a gyroscope (seeds 9000 to 9002 and 1300000 to 1300005)."""
+    """Deviation of E_xy in drives without a speed signal and without a gyroscope (simulated drives
+    with the seeds 9000 to 9002 and 1300000 to 1300005).
+    """
     floor: float = 0.001
-    """Smallest deviation of any entry."""
+    """Smallest deviation of any entry of the error matrix."""
 
     @property
     def crown_variance(self) -> float:
@@ -123,18 +142,17 @@ class Priors(NamedTuple):
 
 
 def are_of_a_sensor(force: Matrix3, rate: Matrix3) -> bool:
-    """True if the gains of both matrices (3, 3) along all directions are possible for their
-    unit.
-    """
+    """True if the gains of both matrices (3, 3) in all directions are possible for a sensor."""
     gains = np.linalg.svd(np.stack([force, rate]), compute_uv=False)
     return bool(((gains > 1.0 / MOST_GAIN) & (gains < MOST_GAIN)).all())
 
 
 def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
-    """Return matrices (3, 3) of the sensors' own errors, without the rotation phi.
+    """Return the matrices (3, 3) of the sensors' own errors for force and rate, without the
+    rotation phi.
 
-    The matrix of the force is 1 + e. The matrix of the rate is 1 with the tilt of column z. theta:
-    (UNKNOWNS,).
+    The matrix of the force is 1 + e. The matrix of the rate is 1 plus the tilt of column z. theta:
+    (UNKNOWNS,) unknowns.
     """
     mixed, tilted = np.eye(3), np.eye(3)
     for k, place in enumerate(OFF):
@@ -144,7 +162,9 @@ def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
 
 
 def entry(i: int, j: int) -> Array:
-    """Return the row (UNKNOWNS,) of cross-talk E_ij in the unknowns."""
+    """Return the derivatives (UNKNOWNS,) of the force's cross-talk E_ij with respect to the
+    unknowns.
+    """
     row = np.zeros(UNKNOWNS)
     axis, sign = TURN[i, j]
     row[axis] = sign
@@ -153,7 +173,9 @@ def entry(i: int, j: int) -> Array:
 
 
 def rate_entry(i: int, j: int) -> Array:
-    """Return the row (UNKNOWNS,) of the rate's cross-talk in the unknowns."""
+    """Return the derivatives (UNKNOWNS,) of the rate's cross-talk C_ij with respect to the
+    unknowns.
+    """
     row = np.zeros(UNKNOWNS)
     axis, sign = TURN[i, j]
     row[axis] = sign
@@ -165,8 +187,8 @@ def rate_entry(i: int, j: int) -> Array:
 
 
 def zero_row(i: int) -> Array:
-    """Return the row (UNKNOWNS,) of the level zero over g: the level force that remains on a level
-    road.
+    """Return the derivatives (UNKNOWNS,) of the level zero along axis i with respect to the
+    unknowns. The level zero is the horizontal force that remains on a level road, divided by g.
     """
     row = entry(i, 2)
     row[ZERO.start + i] = 1.0
@@ -174,7 +196,9 @@ def zero_row(i: int) -> Array:
 
 
 def level_row(i: int) -> Array:
-    """Return the row of the level zero plus the mean lean of the roads that were driven."""
+    """Return the derivatives (UNKNOWNS,) of the mean horizontal force along axis i, divided by g.
+    On real roads, this force is the sum of the level zero and the mean lean of the roads.
+    """
     row = zero_row(i)
     if i == 1:
         row[CROWN] = 1.0
@@ -182,8 +206,8 @@ def level_row(i: int) -> Array:
 
 
 def sent_variance(covariance: Array) -> Array:
-    """Return the variances (8,) of the sent data's entries, in the order of SentDeviations, with
-    zeros over g. covariance: (UNKNOWNS, UNKNOWNS) of the unknowns.
+    """Return the variances (8,) of the entries of SentDeviations, in the same order. The zero
+    errors are divided by g. covariance: (UNKNOWNS, UNKNOWNS) covariance of the unknowns.
     """
     return np.asarray(np.maximum(((_SENT @ covariance) * _SENT).sum(axis=1), 0.0))
 
@@ -191,10 +215,10 @@ def sent_variance(covariance: Array) -> Array:
 def sent_deviations(
     variance: Array, turned: Array = NO_TURN, zero: Array = NO_TURN
 ) -> SentDeviations:
-    """Return the deviations from the variances (8,).
+    """Return the deviations of the sent data from their variances (8,).
 
-    turned: variance (3,) of a further rotation of both sensors [rad^2]. zero: variance (3,) of a
-    zero that has changed [(m/s^2)^2].
+    turned: (3,) variance of an additional rotation of both sensors [rad^2]. zero: (3,) variance of
+    an additional change of the zero error [(m/s^2)^2].
     """
     variance = variance + _TURNED @ turned
     variance[4:6] = GRAVITY**2 * variance[4:6] + zero[:2]
@@ -208,5 +232,5 @@ _SENT: Final = np.array(
         *(rate_entry(i, 2) for i in range(2)),
     ]
 )
-"""Rows of the deviations of sent data, in the order of SentDeviations."""
+"""Derivatives of the entries of SentDeviations with respect to the unknowns, in the same order."""
 _TURNED: Final = np.square(_SENT[:, PHI])

@@ -1,15 +1,19 @@
-"""Hypotheses of a sudden change: the sensor was turned, or a zero of the accelerometer stepped.
+"""Hypotheses of a sudden change: the sensor was turned, or a zero error of the accelerometer
+jumped.
 
-The filter of `drift` follows a sound sensor in a fixed mount. Each hypothesis adds `size` times a
-known direction to the state of the filter at an onset. The innovations answer linearly, so each
-onset has its likelihood ratio in closed form (Willsky and Jones, IEEE Trans. Automatic Control 21,
-1976). The ratios are summed over the onsets as in `drift`.
+The Kalman filter of `drift` models a sensor without faults in a fixed mount. Each hypothesis adds a
+change of known direction and unknown size to the state of the filter at an onset. The innovations
+are linear in the size of the change. The likelihood ratio of each onset is therefore known in
+closed form (Willsky and Jones, IEEE Trans. Automatic Control 21, 1976). The ratios are summed over
+the onsets as in `drift`.
 
-A turn of the sensor by a small rotation phi moves the vertical, its mean (u x phi) and the response
-to motion (f x phi). The gyroscope has felt the turn, and carried the vertical with it, or has not.
-A step of a zero moves the force alone. Bends tell both apart: the vertical of a turned sensor goes
-on about the axis that its gyroscope shows. A long grade moves the mean vertical and is no fault.
-What it explains as well makes no change certain.
+A small rotation phi of the sensor changes the vertical u and its mean by u x phi. The rotation also
+changes the force f of a motion by f x phi. There are two hypotheses of a rotation. In the first
+hypothesis, the gyroscope measured the rotation, so the filter has already rotated the vertical. In
+the second hypothesis, the gyroscope did not measure the rotation. A jump of a zero error changes
+only the force. In bends, a rotation differs from a jump: after a rotation, the vertical turns about
+the axis that the gyroscope measures. The start of a long grade changes the mean of the vertical and
+is no fault. If a grade explains the data as well as a change, the change is not certain.
 """
 
 from __future__ import annotations
@@ -24,37 +28,44 @@ from imucald.core.samples import GRAVITY
 
 UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
 MOTIONS = 5
-"""Motions that the force responds to: dv/dt, v r, dr/dt, r^2, (v r)^2."""
+"""Number of motions to which the force responds: dv/dt, v r, dr/dt, r^2, (v r)^2."""
 ZERO, ANSWER = slice(9, 12), slice(12, 12 + 3 * MOTIONS)
 UPWARD = slice(ZERO.stop - 1, ZERO.stop)
 STATES = ANSWER.stop
-"""The state of the filter, see `drift`."""
+"""Number of states of the filter, see `drift`."""
 MOST_ONSETS = 10
-"""Onsets that are tested: the beginnings of the last blocks (64 s). An open question keeps its
-onset for longer.
+"""Number of onsets that are tested: the starts of the last blocks (64 s). If the cause of a change
+is not decided, the onset of this change is kept longer.
 """
 BELIEVED: Final = math.log(1000.0)
-"""Log of the odds from which one cause is believed: the first order and a level road are not exact,
-and a wrong answer costs minutes.
+"""Logarithm of the odds from which one cause counts as decided.
+
+The limit is high because the model is not exact: the model assumes a small rotation and a level
+road. The correction of a wrong decision takes minutes of driving.
 """
 LEAST_BLOCKS = 3
-"""Blocks since the onset from which the cause is decided: the change may lie at the end of the
-first.
+"""Smallest number of blocks after the onset for a decision about the cause. The change may be at
+the end of the first block.
 """
 TURNED_STD, ZERO_STD = 0.1, 0.5
-"""Prior deviations of a turn about each axis [rad], and of a step of each zero [m/s^2]: most turns
-by hand are by some degrees; a step is a fault from some tens of mg on.
+"""Prior standard deviations of a rotation about each axis [rad], and of a jump of each zero error
+[m/s^2].
+
+Most rotations by hand are some degrees. A jump of more than some tens of mg is a fault.
 """
 SECOND_ORDER = 0.05
-"""Prior deviation of the change of the upward force by a turn or grade [m/s^2], about its second
-order -g (x^2 + y^2) / 2: the slope before adds to it.
+"""Prior standard deviation of the change of the upward force by a rotation or a grade [m/s^2].
+
+The mean of this change is the second-order term -g (x^2 + y^2) / 2. The slope before the change
+adds to the change.
 """
 
 
 def _turned(is_felt: bool) -> Array:
-    """Return the effect on the state (STATES, 4) of a turn about x, y, z and of its second order.
+    """Return the effect (STATES, 4) on the state of a rotation about x, y and z, and of the
+    second-order term of the rotation.
 
-    is_felt: by the gyroscope, which has carried the vertical with it.
+    is_felt: the gyroscope measured the rotation, so the filter has already rotated the vertical.
     """
     made = np.zeros((STATES, 4))
     for part in (TILT,) if is_felt else (UP, TILT):
@@ -67,15 +78,16 @@ def _turned(is_felt: bool) -> Array:
 
 
 def _unit(part: slice) -> Array:
-    """Return the effect on the state of one unknown for each number of a part."""
+    """Return the effect on the state if each element of `part` changes by its own unknown."""
     return np.eye(STATES)[:, part]
 
 
 class ChangeHypothesis(NamedTuple):
-    """A change with k unknowns. effect: (STATES, k) on the state. std: (k,) prior deviations.
+    """Hypothesis of a change with k unknowns.
 
-    chance: of this change, if there is one. tilts: the first two unknowns tilt the vertical, and
-    the last one is the second order of that.
+    effect: (STATES, k) effect of the unknowns on the state. std: (k,) prior standard deviations of
+    the unknowns. chance: probability of this hypothesis if a change has happened. tilts: the first
+    two unknowns tilt the vertical, and the last unknown is the second-order term of this tilt.
     """
 
     effect: Array
@@ -91,23 +103,26 @@ STEPPED: Final = ChangeHypothesis(_unit(ZERO), np.full(3, ZERO_STD), 0.5, tilts=
 GRADE: Final = ChangeHypothesis(
     np.hstack([_unit(TILT), _unit(UPWARD)]), np.array([0.05, 0.03, SECOND_ORDER]), 1.0
 )
-"""A long grade or bank of the road: 10 % is a steep mountain road, 6 % a steep superelevation (two
-deviations).
+"""Hypothesis of a long grade or a long superelevation of the road. A grade of 10 % is a steep
+mountain road, and a superelevation of 6 % is steep. These values are two standard deviations of the
+prior.
 """
 HYPOTHESES: Final = (NOT_FELT, FELT, STEPPED, GRADE)
 EFFECT: Final = np.hstack([one.effect for one in HYPOTHESES])
-"""Effect of the unknowns of all hypotheses at an onset (STATES, 14)."""
+"""Effect (STATES, 14) on the state, at an onset, of the unknowns of all hypotheses."""
 
 
 class SuddenChange(NamedTuple):
     """The most likely sudden change.
 
-    is_turn: the sensor was turned; otherwise, a zero stepped. size: (3,) rotation vector of the
-    sensor [rad] or change of the zero [m/s^2], working axes. covariance: (3, 3) of it. log_odds:
-    log of the statistic of any sudden change over its threshold, and over that of a long grade.
-    grade: log of the statistic of a long grade. ahead: log of the odds against the other cause.
-    began: time of the onset. blocks: number of blocks since then. level: upward force of the
-    filter, about that before it [m/s^2].
+    is_turn: True: the sensor was turned. False: a zero error jumped. size: (3,) rotation vector of
+    the sensor [rad] or change of the zero error [m/s^2], working axes. covariance: (3, 3)
+    covariance of `size`. log_odds: logarithm of a ratio. The numerator is the statistic of a sudden
+    change. The denominator is the sum of the threshold and the statistic of a long grade. grade:
+    logarithm of the statistic of a long grade. ahead: logarithm of the odds of the reported cause
+    against the other cause. began: time of the onset. blocks: number of blocks since the onset.
+    level: upward force in the state of the filter [m/s^2], about equal to the upward force before
+    the change.
     """
 
     is_turn: bool
@@ -122,21 +137,22 @@ class SuddenChange(NamedTuple):
 
     @property
     def is_certain(self) -> bool:
-        """True if something has changed."""
+        """True if a sudden change is certain."""
         return self.log_odds > 0.0
 
     @property
     def is_decided(self) -> bool:
-        """True if it is known what has changed."""
+        """True if the cause of the change is decided."""
         return self.ahead > BELIEVED and self.blocks >= LEAST_BLOCKS
 
 
 class Onsets:
-    """Answers of a filter to changes that may have begun at several times, k unknowns each.
+    """Responses of a filter to changes with k unknowns that may have begun at n onsets.
 
-    began: (n,) times. shift: (STATES, n k) effect on the mean of the filter; what the filter does
-    not know of, it shows as a negative shift. information: (n, k, k) on the unknowns, and score (n,
-    k).
+    began: (n,) times of the onsets. shift: (STATES, n k) error of the filter's mean for each
+    unknown of size one. This error starts as minus the effect of the change if the filter does not
+    model the change. information: (n, k, k) information about the unknowns. score: (n, k) score of
+    the unknowns.
     """
 
     def __init__(self, unknowns: int) -> None:
@@ -146,10 +162,12 @@ class Onsets:
         self.information, self.score = np.zeros((0, k, k)), np.zeros((0, k))
 
     def begin(self, t: float, effect: Array, most: int, kept: float = math.nan) -> bool:
-        """Begin an onset at t with an effect (STATES, k) that the filter does not know of.
+        """Add an onset at the time t. The filter does not model the effect (STATES, k) of this
+        change.
 
-        most: number of onsets. Of more, the oldest one goes, or the next one if the oldest began at
-        `kept`. Returns whether one has gone.
+        most: largest number of onsets. If there are more onsets, the oldest onset is deleted. If
+        the oldest onset is at the time `kept`, the second oldest onset is deleted instead. Returns
+        True if an onset was deleted.
         """
         k, is_full = self._unknowns, len(self.began) == most
         if is_full:
@@ -165,10 +183,11 @@ class Onsets:
         return is_full
 
     def add_answers(self, answers: Array, both: Array) -> None:
-        """Take the whitened answers (m, n k) of m innovations to the unknowns.
+        """Take the whitened responses (m, n k) of m innovations to the unknowns.
 
-        both: (1 + STATES, n k) products of the answers with the innovations, and with the rows by
-        which these correct the mean.
+        both: (1 + STATES, n k) products. Row 0 has the products of the responses with the
+        innovations. Each other row belongs to one state and has the products of the responses with
+        the gains of this state.
         """
         n, k = len(self.began), self._unknowns
         by_onset = answers.reshape(-1, n, k).transpose(1, 0, 2)
@@ -178,8 +197,10 @@ class Onsets:
 
 
 class _Fit(NamedTuple):
-    """Fit of a hypothesis to n onsets, k unknowns: log (n,) of the likelihood ratio, size (n, k),
-    information (n, k, k).
+    """Fit of a hypothesis with k unknowns to n onsets.
+
+    log: (n,) logarithm of the likelihood ratio. size: (n, k) unknowns. information: (n, k, k)
+    information about the unknowns.
     """
 
     log: Array
@@ -188,8 +209,8 @@ class _Fit(NamedTuple):
 
 
 def _fitted(onsets: Onsets, one: ChangeHypothesis, columns: slice) -> _Fit:
-    """Fit a hypothesis, whose unknowns are these of an onset. A tilt is fitted twice, the second
-    time with its second order.
+    """Fit a hypothesis to all onsets. A tilt is fitted twice, and the second fit includes the
+    second-order term. columns: indices of the hypothesis's unknowns among the unknowns of an onset.
     """
     weight = one.std**-2
     known = onsets.information[:, columns, columns] + np.diag(weight)
@@ -209,8 +230,9 @@ def likeliest_change(
 ) -> SuddenChange:
     """Return the most likely change.
 
-    now, a_block: in the unit of the onsets' times. log_onsets: log of the number of onsets in which
-    one false alarm may come. level: upward force so far [m/s^2].
+    now: present time, in the unit of the onsets' times. a_block: length of a block, in the same
+    unit. log_onsets: logarithm of the number of onsets in which one false alarm is allowed. level:
+    present upward force in the state of the filter [m/s^2].
     """
     fits, first = [], 0
     for one in HYPOTHESES:

@@ -1,7 +1,8 @@
-"""Windows of a drive: the latest are stored one by one, earlier ones as sums per road segment.
+"""Windows of a drive. The latest windows are stored one by one, and earlier windows are stored as
+sums by road segment.
 
-A fit gives loud windows less weight. The weight of an old window stays constant. Four old windows
-are therefore summed to one Gram matrix, which is enough for later fits.
+A fit gives less weight to windows with much noise. The weight of an old window stays constant. Four
+old windows are therefore added to one Gram matrix, and later fits need only this matrix.
 """
 
 from __future__ import annotations
@@ -28,21 +29,25 @@ from imucald.mount.joint.response import (
 Complex = NDArray[np.complex128]
 
 RECENT = 64
-"""Number of windows stored one by one: 7 minutes of driving."""
+"""Number of windows that are stored one by one: 7 minutes of driving."""
 ROUND = SEGMENTS[-1]
-"""Windows that are summed at a time: whole road segments of either length."""
+"""Number of windows that are summed at one time. This number contains whole road segments of both
+lengths.
+"""
 NOTHING = 1e-9
-"""Information that is only rounding error: no motion of the drive showed this entry."""
+"""Size below which information is only rounding error. A coefficient with so little information did
+not appear in any motion of the drive.
+"""
 MAIN: Final = slice(wd.FIRST_X, wd.FIRST_X + len(wd.MAIN))
 TURNED: Final = slice(len(wd.NAMES) - len(wd.TURNED), len(wd.NAMES))
 
 
 class Fits(NamedTuple):
-    """F least squares fits with the same number of columns; the first column is fitted on the
-    others.
+    """Settings of F least squares fits with the same number of columns. The first column is fitted
+    on the other columns.
 
-    columns: (F, 1 + p). usual: (F, BANDS) expected noise. spread: (F, p) prior deviations of the
-    coefficients. keep: number of coefficients to return.
+    columns: (F, 1 + p) indices of the columns. usual: (F, BANDS) expected noise. spread: (F, p)
+    prior deviations of the coefficients. keep: number of coefficients to return.
     """
 
     columns: tuple[tuple[int, ...], ...]
@@ -52,7 +57,9 @@ class Fits(NamedTuple):
 
 
 class FitSums:
-    """The windows of some fits. The first `_old` are road segments, the rest are windows."""
+    """The windows of several fits. The first `_old` rows are road segments, and the other rows are
+    windows.
+    """
 
     def __init__(self, fits: Fits) -> None:
         self._fits = fits
@@ -65,7 +72,7 @@ class FitSums:
         self.has_fitted = False  # these windows, or most of them
 
     def restart(self) -> None:
-        """Forget all windows, but keep the learnt noise."""
+        """Forget all windows, but keep the estimated noise."""
         self._counts, self._trust, self._old = self._counts[:, :0], self._trust[:, :0], 0
         self.has_fitted = False
 
@@ -76,13 +83,13 @@ class FitSums:
 
     @property
     def noise(self) -> Array:
-        """(F, BANDS) noise of the last fits, or the expected noise before any fit; infinite in
-        bands that did not count.
+        """Noise (F, BANDS) of the last fits, infinite in unused bands. Before any fit, the result
+        is the expected noise.
         """
         return self._fits.usual if self._last is None else self._last.noise
 
     def add_windows(self, products: Array) -> None:
-        """Take windows (n, BANDS, columns, columns)."""
+        """Take the products (n, BANDS, columns, columns) of n windows."""
         new = np.ones((len(self._store), len(products)))
         at, stop = self._counts.shape[1], self._counts.shape[1] + len(products)
         if stop > self._store.shape[1]:  # room for more than these: copying takes time
@@ -111,14 +118,16 @@ class FitSums:
         self._leave_out(self._old, stop)
 
     def _leave_out(self, first: int, stop: int) -> None:
-        """Forget these rows."""
+        """Delete the rows from `first` to `stop`."""
         kept = self._rows[:, stop:].copy()
         self._counts = np.delete(self._counts, slice(first, stop), axis=1)
         self._trust = np.delete(self._trust, slice(first, stop), axis=1)
         self._rows[:, first:] = kept
 
     def drop(self, windows: int) -> None:
-        """Forget this many of the first windows. Old windows are forgotten only in whole rounds."""
+        """Delete the first windows. windows: number of windows to delete. Windows in road segments
+        are deleted only in multiples of `ROUND`.
+        """
         segments = min(windows // ROUND * (ROUND // SEGMENTS[0]), self._old)
         rows = segments
         if segments == self._old:
@@ -130,8 +139,8 @@ class FitSums:
     def by_segment(self, to_last: bool = False) -> Array:
         """Return the information (F, S, columns, columns) of each road segment.
 
-        Weights and noise are those of the last fit; later windows are included too. to_last: as in
-        `segments_of`.
+        Weights and noise are results of the last fit. Windows after the last fit are included too.
+        to_last: as in `segments_of`.
         """
         last = self._last
         assert last is not None
@@ -142,8 +151,8 @@ class FitSums:
         return self._packing.matrices(np.add.reduceat(rows, starts, axis=1))
 
     def scores(self, G: Array) -> tuple[Array, Array]:
-        """Return the residual scores (F, S, keep) of the coefficients in each road segment, and
-        their informations. G: as `by_segment` returns it.
+        """Return the residual scores (F, S, keep) of the coefficients in each road segment, and the
+        information (F, S, keep) about the coefficients. G: result of `by_segment`.
         """
         assert self._last is not None
         kept = slice(1, 1 + self._fits.keep)
@@ -151,11 +160,11 @@ class FitSums:
         return scores, np.diagonal(G[:, :, kept, kept], axis1=2, axis2=3)
 
     def changes(self, G: Array, spans: NDArray[np.int_]) -> tuple[Array, Array]:
-        """Return changes (F, B, keep) of the coefficients over the last so many segments (B,), and
-        their variances.
+        """Return the changes (F, B, keep) of the coefficients, and the variances of these changes.
 
-        Each change is fitted together with all constant coefficients. G: as `by_segment` returns
-        it.
+        spans: (B,) numbers of last road segments. A change is the difference between these segments
+        and all earlier segments. Each change is fitted together with all constant coefficients. G:
+        result of `by_segment`.
         """
         keep, total = self._fits.keep, G.sum(axis=1)
         p = total.shape[-1] - 1
@@ -173,7 +182,7 @@ class FitSums:
         return size[..., 0], np.abs(np.diagonal(covariance, axis1=2, axis2=3)) * grow
 
     def respond(self, bands: NDArray[np.bool_]) -> Responses:
-        """Return the fits on all windows. bands: bands that count."""
+        """Return the fits on all windows. bands: flags of the used bands."""
         _, usual, spread, keep = self._fits
         args = self._rows, self._counts, self._old, self._packing, usual, spread, keep, bands
         last = (self.noise, self._trust) if self.has_fitted else ()
@@ -183,12 +192,12 @@ class FitSums:
 
 
 def _grown_before(G: Array, C: Array, off: Array, began: NDArray[np.int_]) -> Array:
-    """Return the factor (F, B, keep) by which the spread between road segments exceeds the expected
-    one.
+    """Return the factor (F, B, keep) by which the variance between road segments exceeds its
+    expected value.
 
-    The factor is computed from segments (F, S, columns, columns) before each of these (B,).
-
-    C: (F, keep, p) rows of the covariance. off: (F, B, p) the coefficients at that time.
+    The factor is computed from the road segments before each possible time of a change. G: (F, S,
+    columns, columns) road segments. C: (F, keep, p) rows of the covariance of the coefficients.
+    off: (F, B, p) coefficients before each time. began: (B,) number of segments before each time.
     """
     seen = C[:, None] @ G[:, :, 1:]
     scores = seen[..., :1] - seen[..., 1:] @ off[:, None].swapaxes(2, 3)  # (F, S, keep, B)
@@ -208,7 +217,7 @@ def _grown_before(G: Array, C: Array, off: Array, began: NDArray[np.int_]) -> Ar
 
 
 class WindowSums:
-    """All windows, for each fit and for the data that the fits share."""
+    """All windows, stored for each fit, and the sums that the fits share."""
 
     def __init__(self, force: Fits, turning: Fits) -> None:
         self.force, self.turning = self._fits = FitSums(force), FitSums(turning)
@@ -218,7 +227,9 @@ class WindowSums:
         return len(self._power)
 
     def has_fitted(self, with_turning: bool) -> bool:
-        """True if a fit used these windows, or most of them. with_turning: that of the rate too."""
+        """True if a fit used all or most of these windows. with_turning: the fit of the rate must
+        have used the windows too.
+        """
         return self.force.has_fitted and (self.turning.has_fitted or not with_turning)
 
     def restart(self) -> None:
@@ -231,7 +242,9 @@ class WindowSums:
         self._shared = np.zeros((0, 2, 4))
 
     def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
-        """Take spectra (n, bins, columns) of windows that end with these blocks (n,)."""
+        """Take the spectra (n, bins, columns) of n windows. blocks: (n,) number of the last block
+        of each window.
+        """
         products = wd.products(spectra)
         for fit in self._fits:
             fit.add_windows(products)
@@ -244,8 +257,9 @@ class WindowSums:
         self._shared = np.concatenate([self._shared, shared])
 
     def forget(self, blocks: int) -> None:
-        """Forget the windows that end in the first blocks (this many), and count blocks from
-        there."""
+        """Delete the windows that end in the first blocks. blocks: number of these first blocks.
+        The remaining blocks are counted from zero again.
+        """
         gone = int(np.searchsorted(self._blocks, blocks))
         for fit in self._fits:
             fit.drop(gone)
@@ -254,27 +268,29 @@ class WindowSums:
         self._shared = self._shared[gone:]
 
     def began(self, segments: NDArray[np.int_]) -> NDArray[np.int_]:
-        """Return the first block (S,) of so many road segments (S,) that end with the last
-        window.
+        """Return the first block (S,) of a group of road segments that ends with the last window.
+        segments: (S,) number of road segments of each group.
         """
         first = self._blocks[len(self._blocks) - SEGMENTS[0] * segments]
         return np.asarray(first - (wd.WINDOW // wd.BLOCK - 1))
 
     def ends(self, to_last: bool = False) -> NDArray[np.int_]:
-        """Return the last block of each road segment (S,). to_last: as in `segments_of`."""
+        """Return the last block (S,) of each road segment. to_last: as in `segments_of`."""
         length, n = SEGMENTS[0], len(self._blocks)
         first = (n - 1) % length if to_last else length - 1
         return self._blocks[np.minimum(np.arange(first, n + first, length), n - 1)]
 
     @property
     def followed(self) -> tuple[Complex, Array]:
-        """Return, for each bin (bins,), the products of dv/dt with the force ahead, and with
-        itself.
+        """Sums for each frequency bin (bins,): the product of dv/dt with the force ahead, and the
+        square of dv/dt.
         """
         return self._cross.sum(axis=0), self._power.sum(axis=0)
 
     @property
     def leak(self) -> Array:
-        """Return (tilted axis, motion): the response of a rotated gyroscope to dv/dt and v r."""
+        """Response (2, 2) of the computed gravity along x and y to dv/dt and v r, for a gyroscope
+        that is rotated about z by one radian.
+        """
         total = self._shared.sum(axis=0)
         return np.asarray(np.linalg.lstsq(total[:, :2], total[:, 2:], rcond=None)[0].T)

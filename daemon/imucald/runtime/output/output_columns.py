@@ -34,8 +34,8 @@ def corrected_count(routed: Routed, channel: str) -> int:
 
 
 def frames_part(out: Sequence[OutFrame], row: int) -> OutPart:
-    """Return the frames as a part of the output. They are sent before the frames of the samples of
-    `row`, in the given order."""
+    """Return the frames as a part of the output. The frames are sent before the frames of the
+    samples of `row`, in the given order."""
     return OutPart(
         np.full(len(out), row),
         np.zeros(len(out), np.int64),  # one frame may close many ticks: keep their order

@@ -230,8 +230,8 @@ class OutputFrames:
         return message.can_id, message.payloads([*columns, quality.astype(np.float64)])
 
     def status(self, estimate: MountEstimate, usable: bool, health: Health) -> list[OutFrame]:
-        """Return the status frames of one snapshot. They contain the angles only if `usable` is
-        true."""
+        """Return the status frames of one snapshot. The frames contain the angles only if `usable`
+        is true."""
         state = int(estimate.state)
         angles = estimate.angles if usable else None
         std = estimate.std if usable else None
