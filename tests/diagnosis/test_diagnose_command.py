@@ -360,7 +360,7 @@ def test_names_are_no_markup_and_long_lists_are_cut(capsys):
     print_diagnosis(made.found(candidates=lost, notes=(strange,) * 500, to_separate=strange))
     out = capsys.readouterr().out
     assert strange in out
-    assert "488 more were not named" in out
+    assert "488 more causes were not named" in out
     assert "488 more notes" in out
     assert len(out.splitlines()) < 80
 
