@@ -178,6 +178,15 @@ def test_a_daemon_that_does_not_answer_is_the_first_line(status):
     assert lines[0].startswith("NO ANSWER: no such socket")
 
 
+@pytest.mark.parametrize("size", [(80, 24), (120, 40)])
+def test_the_last_status_of_an_ended_daemon_is_not_said_to_be_now(status, size):
+    status["health"] |= {"speed_missing": True}
+    lines = drawn(lambda c: monitor_picture(status, [], c, Text(""), "ended"), *size)
+    assert not [line for line in lines if line.startswith("now ")]
+    lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), *size)
+    assert [line for line in lines if line.startswith("now ")]
+
+
 def test_an_ended_daemon_and_a_silent_one_are_named_with_the_time_of_the_last_answer():
     gone, silent = LinkError("/run/x.sock: refused"), BusyError("no answer")
     clock = time.strftime("%H:%M:%S", time.localtime(1.6e9))
@@ -367,6 +376,16 @@ def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status
     assert [(e.at, e.kind, e.text) for e in events.events] == [(1.5e9, "log", "usable at 70.4 s")]
 
 
+def test_a_monitor_that_is_opened_on_a_silent_bus_repeats_no_alarm_of_the_log(status):
+    events = LiveEvents()
+    events.remember([{"at": 1.5e9, "level": "warning", "text": "no speed"}])
+    status |= {"signals": {}, "uptime_s": 60.0}
+    status["health"] |= {"speed_missing": True}
+    for second in range(3):
+        events.update(status, 1.6e9 + second)
+    assert [e.text for e in events.events] == ["no speed"]
+
+
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (140, 40)])
 def test_the_picture_fits_the_terminal_with_its_newest_event_and_foot(status, width, height):
     events = LiveEvents()
@@ -449,6 +468,34 @@ def test_nothing_wrong_is_said_only_where_neither_mount_nor_signals_are(status):
     assert now(suspect) == f"accelerometer faulty; {trouble}"
     unexplained = status | {"state": "suspect"}
     assert now(unexplained).startswith("the mount is suspect: the drive contradicts the mount")
+
+
+def test_a_saved_mount_that_this_drive_contradicts_is_the_reason_and_one_event(status):
+    wrong = {"t": 15.0, "turned_deg": 170.2}
+    restored = {"phase": "doubted", "given": False, "doubt": "", "contradicted": wrong}
+    suspect = status | {"state": "suspect", "details": {"restored": restored}}
+    assert (
+        now(suspect)
+        == "the mount of an earlier drive does not fit this drive: it is off by 170 deg"
+    )
+    later = copy.deepcopy(suspect)
+    later["details"]["restored"]["contradicted"]["turned_deg"] = 171.8
+    faults = [e.text for e in events_of(suspect, later).events if e.kind == "fault"]
+    assert faults == [now(later)]
+    assert "off by 172 deg" in faults[0]
+
+
+def test_a_saved_mount_that_was_replaced_is_said_to_be_so(status):
+    status["details"] = {"restored": {"phase": "new", "given": False, "turned_deg": None}}
+    text = " ".join(" ".join(drawn(picture(status), 400)).split())
+    assert "mount of an earlier drive: replaced by the mount of this drive" in text
+
+
+def test_a_mount_that_was_usable_from_the_start_has_no_time(status):
+    status["first_usable_s"] = 0.0
+    text = "\n".join(drawn(headline(status), 120))
+    assert "usable from the start" in text
+    assert "after 0:00" not in text
 
 
 def test_after_a_restart_status_says_why_the_mount_was_suspect(status):
@@ -592,6 +639,8 @@ def test_the_page_shows_what_the_terminal_does(status):
     assert found["sits"] == status["mount"]["sits"]
     assert [i["health"] for i in found["inputs"]] == ["stuck (y)", "silent"]
     assert len(found["views"]) == 3
+    assert (found["now"], found["reached"]) == ("", ["usable after 1:16"])
+    assert found["frames"]["late"] == status["link"].get("late", 0)
     assert [row[0] for row in found["history"]["rows"]] == [1.6e9 + 2.0 * i for i in range(5)]
     assert found["history"]["columns"] == list(COLUMNS)
 
@@ -611,6 +660,12 @@ def test_nothing_else_is_served_and_nobody_else_may_ask(status, method, path, ho
     ((found, _, text),) = asked(status, (method, path, host))
     assert found == code
     assert "mount" not in text
+
+
+def test_no_empty_car_is_drawn_before_the_forward_direction_is_known(status):
+    status["mount"]["std_deg"]["z"] = 90.0
+    ((_, _, data),) = asked(status, ("GET", "/live", None))
+    assert json.loads(data)["views"] == []
 
 
 def test_half_open_requests_are_few_and_keep_nobody_out(status, monkeypatch):

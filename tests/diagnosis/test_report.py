@@ -155,6 +155,15 @@ def test_nothing_found_claims_nothing():
     assert "Nothing in the model file changes." in text
 
 
+def test_a_likely_cause_alone_is_the_headline_and_not_green():
+    diagnosis = replace(made.nothing(), likely=(replace(made.ROLL, certainty="likely"),))
+    text = words.verdict(diagnosis)
+    assert text.headline == "Likely: body roll"
+    assert "Nothing is certain." in text.explanation
+    assert "fits" not in text.explanation
+    assert 'class="verdict likely"' in report_page(diagnosis, ABOUT)
+
+
 def test_every_signal_has_four_pictures_that_are_valid_svg(found):
     assert len(found.pictures) == 4 * 3
     for svg in found.pictures:

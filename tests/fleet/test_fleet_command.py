@@ -156,7 +156,7 @@ def test_the_report_is_one_page_that_loads_nothing(done: Path, tmp_path: Path) -
     assert "Between drives: not known, too few drives" in text
     head = text.partition(">Vehicles and their mounts</h2>")[2].partition("<h2")[0]
     segments = pq.read_table(done / "analysis" / "segments").to_pylist()
-    rows = re.findall(r'<tr(?: class="marked")?><td>([^<]+)</td>', head)
+    rows = re.findall(r'<tr(?: class="marked")?><td class="name">([^<]+)</td>', head)
     assert rows == sorted({s["vehicle"] for s in segments})
 
 

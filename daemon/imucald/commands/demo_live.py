@@ -25,10 +25,13 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can
 from imucald.commands.monitor import watch
+from imucald.commands.terminal import plain_console
 from imucald.config.example import example_path
 from imucald.core.errors import ConfigError, LinkError
 from imucald.core.orientation_words import sits_words
 from imucald.core.rotations import rotation_from_angles
+from imucald.mount.mount_words import angles_line
+from imucald.service.asking import ask, content
 from imucald.service.journal import Journal
 from imucald.service.parts import ServiceOptions
 from imucald.service.service import Service
@@ -121,12 +124,24 @@ def run_live(
                 bus.start()
                 asked = f"{note}; status, hold, ...: --socket {socket}"
                 watch(socket, bus.is_over, web, asked)
+                found = _found(socket)
         finally:
             bus.close()
     angles = [truth["mount"][f"{name}_deg"] for name in ("roll", "pitch", "yaw")]
     words = sits_words(rotation_from_angles(*map(math.radians, angles)))
     roll, pitch, yaw = angles
-    print(f"\nThe truth: roll {roll:+.2f}°, pitch {pitch:+.2f}°, yaw {yaw:+.2f}°; {words}.")
+    console = plain_console()
+    console.print(f"\nFound:     {found}")
+    console.print(f"The truth: roll {roll:+.2f}°, pitch {pitch:+.2f}°, yaw {yaw:+.2f}°; {words}.")
+
+
+def _found(socket: Path) -> str:
+    """Return the last mount of the daemon as text."""
+    try:
+        status = content(socket, "status", ask(socket, "status"))
+    except LinkError:
+        return "not known"
+    return f"{angles_line(status['mount']) or 'no angles yet'} (mount: {status['state']})"
 
 
 def _simulated(log: Path, seed: int, minutes: float, mount: str | None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from imucald.core.errors import ImucaldError
-from imucald.core.text import counted
+from imucald.core.text import counted, duration, size
 
 if TYPE_CHECKING:
     from imucald.fleet.store import Store
@@ -44,14 +44,14 @@ def status(options: argparse.Namespace) -> int:
         console.print(f"a run is active: process {holder.pid} on {holder.host}, {age:.0f} s ago")
     drives, failures = tables["drives"], tables["failures"]
     sources = tables["sources"]
-    gigabytes = sum(sources.column("bytes").to_pylist()) / 1e9
+    read = sum(sources.column("bytes").to_pylist())
     hours = sum(d or 0.0 for d in drives.column("duration_s").to_pylist()) / 3600.0
-    cpu = sum(c or 0.0 for c in tables["costs"].column("cpu_s").to_pylist()) / 3600.0
+    cpu = sum(c or 0.0 for c in tables["costs"].column("cpu_s").to_pylist())
     console.print(
-        f"{counted(len(sources), 'log')}, {gigabytes:.3g} GB: {counted(len(drives), 'drive')} of "
+        f"{counted(len(sources), 'log')}, {size(read)}: {counted(len(drives), 'drive')} of "
         f"{counted(len(set(drives.column('vehicle').to_pylist())), 'vehicle')}, "
         f"{hours:.1f} h of driving, "
-        f"{cpu:.3g} h of processor"
+        f"{duration(cpu)} of processor time"
     )
     states = Counter(drives.column("state").to_pylist())
     console.print("states: " + (", ".join(f"{s} {n}" for s, n in states.most_common()) or "none"))

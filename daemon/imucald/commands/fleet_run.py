@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from imucald.commands.interrupting import interrupt
 from imucald.core.errors import ConfigError, ImucaldError
 from imucald.core.libraries import how_to_install
-from imucald.core.text import counted
+from imucald.core.text import counted, size
 
 if TYPE_CHECKING:
     from imucald.fleet.driver import Counts, FleetRun
@@ -143,7 +143,7 @@ def _said(plan: Plan) -> str:
     text = (
         f"imucald: {counted(plan.listed, 'log')}, {plan.done} known, {len(plan.tasks)} to evaluate"
     )
-    text += f" ({plan.bytes / 1e9:.3g} GB)"
+    text += f" ({size(plan.bytes)})"
     if plan.failed_before:
         text += f"; {plan.failed_before} failed before ('imucald fleet retry' tries them again)"
     if plan.other_configuration:
@@ -181,8 +181,8 @@ def _signals_call(stop: _Stopping) -> Iterator[None]:
 def _line(counts: Counts) -> str:
     failed = sum(counts.failed.values())
     left = counts.left_s
-    text = f"{counts.done}/{counts.logs} logs, {counts.bytes_done / 1e9:.3g}"
-    text += f"/{counts.bytes / 1e9:.3g} GB, {failed} failed"
+    text = f"{counts.done}/{counts.logs} logs, {size(counts.bytes_done)}"
+    text += f" of {size(counts.bytes)}, {failed} failed"
     if left is not None:
         hours, rest = divmod(round(left), 3600)
         text += f", {hours}:{rest // 60:02}:{rest % 60:02} left"

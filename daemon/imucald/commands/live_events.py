@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from imucald.core.errors import LinkError
+from imucald.core.text import without_numbers
 from imucald.runtime.drive_events import StateChanges, reported_events
 from imucald.runtime.flow import ALARMS, present_alarms
 from imucald.runtime.timebase import FORWARD_STEP
@@ -66,7 +67,7 @@ class LiveEvents:
         found = []
         for event in reported_events(status):
             is_change = event.kind in ("moved", "evidence")  # which one is known later
-            name = "" if is_change else event.text.partition(",")[0]
+            name = "" if is_change else without_numbers(event.text.partition(",")[0])
             key = event.t, "moved" if is_change else event.kind, name
             before = self._listed.get(key)
             if before is None:
@@ -96,10 +97,10 @@ class LiveEvents:
         if self._link is not None and link != self._link:
             self.events.append(LiveEvent(now, "bus", f"{status['link']['channel']} is {link}"))
         alarms = frozenset(present_alarms(status))
-        if self._state is None and not status["signals"]:
-            alarms = frozenset()  # no frame yet is not an event
         if self._state is None and self._has_log:
             self._alarms = alarms  # they are in the log
+        elif self._state is None and not status["signals"]:
+            alarms = frozenset()  # no frame yet is not an event
         for flag in sorted(alarms - self._alarms):
             self.events.append(LiveEvent(now, "alarm", ALARMS[flag]))
         for flag in sorted(self._alarms - alarms):

@@ -53,7 +53,9 @@ def monitor_picture(
     mount = list(mount_parts(status, BAR if width < BESIDE else LONG_BAR, is_grey))
     top: list[RenderableType] = [headline(status, trouble), _padded(mount)]
     inputs: RenderableType = inputs_table(status, is_grey)
-    wanted = (*FACTS, LEFT_OUT) if left_out_words(status["details"]) else FACTS
+    wanted = [*FACTS, LEFT_OUT] if left_out_words(status["details"]) else [*FACTS]
+    if trouble:  # the last status says nothing about the present
+        wanted.remove("now")
     below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]
     if width >= BESIDE:
         least = _lines(console, inputs)
@@ -71,7 +73,7 @@ def monitor_picture(
         return Group(*top, grid, *below)
     left = height - _lines(console, *top, inputs, *below) - 1
     if left < LEAST_EVENTS:  # a low terminal: one line for inputs and one for problems
-        wrong = wrong_now(status)
+        wrong = "" if trouble else wrong_now(status)
         below = [*([Text(f"now     {wrong}", style="red")] if wrong else []), foot]
         inputs = Text(_short(status))
         missing = "" if is_grey else progress_words(status.get("progress"))

@@ -25,13 +25,14 @@ from msgspec.structs import asdict
 
 from imucald.commands.live_events import LiveEvents, logged_events
 from imucald.commands.monitor_view import input_health
-from imucald.commands.status_view import is_stale, no_answer
+from imucald.commands.status_view import is_stale, no_answer, wrong_now
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.core.libraries import how_to_install
 from imucald.core.rotations import Matrix3, rows_from_quaternion
+from imucald.core.text import when_reached
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
-    ABOUT,
+    CONVENTION,
     VEHICLE_AXES,
     angle_cells,
     angles_line,
@@ -123,6 +124,7 @@ class LiveState:
         if status is None:
             return {"trouble": self._trouble or "no answer yet"}
         mount, stale = status["mount"], is_stale(status, self._trouble)
+        rotation = _rotation(mount)
         return {
             "trouble": self._trouble,
             "note": self._note,
@@ -134,34 +136,39 @@ class LiveState:
             "link": status["link"]["state"],
             "vehicle": status["vehicle"],
             "uptime_s": status["uptime_s"],
-            "first_usable_s": status["first_usable_s"],
-            "first_fine_s": status["first_fine_s"],
+            "reached": [
+                when_reached(name, status[f"first_{name}_s"])
+                for name in ("usable", "fine")
+                if status[f"first_{name}_s"] is not None and status["state"] != "restored"
+            ],
+            "now": "" if self._trouble else wrong_now(status),
             "angles": angles_line(mount),
             "sits": mount.get("sits"),
             "steep": mount.get("steep"),
             "mirrored": mount.get("mirrored"),
             "sent": sent_words(status.get("correction")),
-            "convention": ABOUT,
+            "convention": CONVENTION,
             "mount": [_angle(status, i) for i in range(len(ANGLES))],
             "progress": _progress(status.get("progress"), stale),
             "reasons": [
-                {"who": who, "text": text, "trouble": is_trouble(text)}
+                {"who": who, "text": text}
                 for who, text in reasons(status["waiting_for"])
-                if is_trouble(text) or not stale
+                if not is_trouble(text) and not stale
             ],
             "inputs": [_input(status, c, row) for c, row in status["signals"].items()],
             "rejected": status["frames"]["rejected"],
             "left_out": left_out_words(status["details"]),
             "frames": {
                 "used": status["frames"]["used"], "given_out": status["frames_given_out"],
-                "lost": status["link"]["lost"], "conflicts": status["link"]["conflicts"],
+                "lost": status["link"]["lost"], "late": status["link"].get("late", 0),
+                "conflicts": status["link"]["conflicts"],
                 "not_sent": sum(status["link"]["send_errors"].values()),
             },
             "events": [
                 {"at": e.clock, "t": e.at, "kind": e.kind, "text": e.text}
                 for e in self._events.events
             ],
-            "views": view_drawings(_rotation(mount)),
+            "views": [] if rotation is None else view_drawings(rotation),
             "drawing_style": STYLE,
             "history": {
                 "columns": self._columns, "rows": [row for row in self._rows if row[0] > since],

@@ -13,11 +13,12 @@ from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
 from imucald.core.errors import LinkError
-from imucald.core.text import clock, counted
+from imucald.core.text import clock, counted, when_reached
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
     EVIDENCE_KINDS,
     angles_line,
+    contradicted_words,
     is_trouble,
     left_out_words,
     progress_words,
@@ -59,6 +60,11 @@ EVIDENCE = {
 """Names of the kinds of evidence, singular and plural. Only strong manoeuvres are counted, but
 gentle driving is evidence too."""
 
+PHASES = {
+    "handing_over": "being replaced by the mount of this drive",
+    "new": "replaced by the mount of this drive",
+}
+"""Texts for the phases of a restored or stated mount that are not clear by their names."""
 SHARE_SHOWN = 0.05
 _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 """Alarms for sensors that send no samples."""
@@ -128,7 +134,7 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
         text.append("   held: nothing is learnt", style="bold yellow")
     for name in ("usable", "fine") if state != "restored" else ():
         if (after := status[f"first_{name}_s"]) is not None:
-            text.append(f"   {name} after {clock(after)}")
+            text.append(f"   {when_reached(name, after)}")
     return text
 
 
@@ -206,8 +212,11 @@ def _troubles(status: Mapping[str, Any]) -> list[str]:
     suspect, the result is a text about the state."""
     found = [text for _, text in reasons(status["waiting_for"]) if is_trouble(text)]
     restored = status["details"].get("restored", {})
-    if not found and restored.get("phase") == "doubted" and restored.get("doubt"):
-        found.append(f"the mount was suspect when it was saved: {restored['doubt']}")
+    if not found and restored.get("phase") == "doubted":
+        if wrong := restored.get("contradicted"):
+            found.append(contradicted_words(wrong["turned_deg"], restored["given"]))
+        elif restored.get("doubt"):
+            found.append(f"the mount was suspect when it was saved: {restored['doubt']}")
     if not found and status["state"] in DOUBTED:
         found = [f"the mount is {status['state']}: {STATE_WORDS[status['state']]}"]
     return found
@@ -236,7 +245,8 @@ def _evidence(details: Mapping[str, Any]) -> str:
         whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
         turned = restored.get("turned_deg")
         off = "" if turned is None else f", {turned:.0f} deg from the mount of this drive"
-        parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}{off}")
+        phase = PHASES.get(restored["phase"], restored["phase"])
+        parts.append(f"{whose}: {phase}{off}")
     if details.get("not_checked"):
         parts.append(f"not checked: {'; '.join(details['not_checked'])}")
     return ", ".join(parts) or "none yet"

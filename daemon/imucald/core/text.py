@@ -111,6 +111,11 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200.0 else f"{seconds / 3600:.1f} h"
 
 
+def size(count: float) -> str:
+    """Return a number of bytes as text: `72.8 MB` or `12.3 GB`."""
+    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+
+
 _LONE = re.compile("[\ud800-\udfff]")
 
 

@@ -72,8 +72,8 @@ def fleet_page(store: Store) -> str:
                 f"{len(found) or ('not known' if unknown else 0)}",
                 "of those between drives, at most 5 % are false",
             ),
-            ("Differ clearly from their type", f"{len(analysis['outliers'])}", "vehicles"),
-            ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
+            ("Vehicles that differ clearly", f"{len(analysis['outliers'])}", "from their type"),
+            ("Bad batches", *_bad_batches(len(bad), analysis["groups"])),
             ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
         ],
         mounts=_mounts(analysis)[:MAX_ROWS],
@@ -96,6 +96,14 @@ def fleet_page(store: Store) -> str:
         histories=_histories(found, drives),
         more=max(0, len(found) - MAX_ROWS),
     )  # fmt: skip
+
+
+def _bad_batches(bad: int, groups: Rows) -> tuple[str, str]:
+    """Return the number of bad batches, and how many groups were compared, as texts."""
+    compared = sum(g["p"] is not None for g in groups)
+    return (
+        (str(bad), f"of {compared} compared") if compared else ("not known", "none is comparable")
+    )
 
 
 def _by_p(group: dict[str, Any]) -> float:

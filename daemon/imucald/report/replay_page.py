@@ -13,7 +13,7 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.text import clock, duration, when_reached
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
-    ABOUT,
+    CONVENTION,
     EVIDENCE_KINDS,
     VEHICLE_AXES,
     angle_cells,
@@ -90,7 +90,7 @@ def replay_page(
             turns=_axis_rows(result["mount"]),
             quaternion=_quaternion(result["mount"]),
             sent=sent_words(result.get("correction")),
-            convention=ABOUT,
+            convention=CONVENTION,
             mount_picture=draw.mount_picture(history, events) if history.moments else "",
             events=[(e.number, clock(e.event.t), e.event.kind, e.event.text) for e in events],
             stretch=beside.stretch_picture(motion) if rows.any() else "",

@@ -186,17 +186,25 @@ def verdict(diagnosis: Diagnosis) -> Words:
         return Words(f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail)
     if diagnosis.verdict == "unknown":
         return _unknown(diagnosis, titles, tail)
-    text = (
-        "The model fits these drives: predicted and measured signals differ by no more than noise "
-        "and the tolerances of a correct model file."
-    )
+    if diagnosis.likely:
+        headline = f"Likely: {in_series([cause_title(c.name) for c in diagnosis.likely])}"
+        text = (
+            "Nothing is certain. Likely causes pass a weaker test and are not written into the "
+            "model file."
+        )
+    else:
+        headline = f"Nothing found in {diagnosis.duration_s / 60.0:.3g} min of driving"
+        text = (
+            "The model fits these drives: predicted and measured signals differ by no more than "
+            "noise and the tolerances of a correct model file."
+        )
     undecided = sum(c.outcome == "not decidable here" for c in diagnosis.candidates)
     if undecided:
         text += (
             f" {undecided} of the causes cannot be decided with these drives; longer drives "
             "may show them."
         )
-    return Words(f"Nothing found in {diagnosis.duration_s / 60.0:.3g} min of driving", text + tail)
+    return Words(headline, text + _incomplete(diagnosis))
 
 
 def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:

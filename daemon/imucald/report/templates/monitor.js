@@ -49,16 +49,17 @@ function chart(svg, from, panels) {
     if (!edges.length) { out += `${name}<text x="${left + 6}" y="${base + 26}">not known yet</text>`; return; }
     const least = Math.max(panel.least - (Math.max(...edges) - Math.min(...edges)), 0) / 2;
     const low = Math.min(...edges) - least, high = Math.max(...edges) + least;
-    const y = (v) => (base + inner - ((Math.min(Math.max(v, low), high) - low) / (high - low)) * inner).toFixed(1);
+    const y = (v) => (base + inner - ((v - low) / (high - low)) * inner).toFixed(1);
     const every = niceStep(high - low, 4);
     for (let v = Math.ceil(low / every) * every; v <= high; v += every)
       out += `<line class="grid" x1="${left}" x2="${width - right}" y1="${y(v)}" y2="${y(v)}"/><text x="${left - 6}" y="${Number(y(v)) + 4}" text-anchor="end">${Number(v.toFixed(2))}</text>`;
+    out += `<svg x="${left}" y="${base}" width="${width - left - right}" height="${inner}" viewBox="${left} ${base} ${width - left - right} ${inner}">`;  // cut off at the panel's edge
     for (const [kind, values] of panel.lines)
       for (const part of pieces(values)) {
         if (panel.half) out += `<polygon class="band" points="${part.map((i) => `${x(t[i])},${y(values[i] + half[i])}`).concat(part.map((i) => `${x(t[i])},${y(values[i] - half[i])}`).reverse()).join(" ")}"/>`;
         out += `<polyline class="line ${kind}" points="${part.map((i) => `${x(t[i])},${y(values[i])}`).join(" ")}"/>`;
       }
-    out += name;
+    out += `</svg>${name}`;
   });
   svg.innerHTML = out;
 }
@@ -105,9 +106,9 @@ function show(live) {
   if (!live.trouble) showFlow(live.flow.kind, live.flow.text, live.flow.kind === "good" ? live.state : live.flow.kind);
   byId("state").textContent = live.state;
   byId("bus").textContent = `${live.channel} (${live.link})`;
-  const reached = ["usable", "fine"].filter((n) => live[`first_${n}_s`] !== null).map((n) => `${n} after ${clock(live[`first_${n}_s`])}`);
-  byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...reached].join(", ");
-  byId("sent").textContent = live.sent && `Sent: ${live.sent}`;
+  byId("now").textContent = live.now && `Now: ${live.now}`;
+  byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...live.reached].join(", ");
+  byId("sent").textContent = live.sent && `Errors left in corrected frames: ${live.sent}`;
   byId("angles").innerHTML = live.angles.split(", ").map((angle) => `<span class="whole">${escaped(angle)}</span>`).join(", ");
   byId("sits").textContent = live.sits || "How the sensor sits is not known yet.";
   byId("steep").textContent = [live.steep, live.mirrored].filter(Boolean).join(" ");
@@ -116,14 +117,14 @@ function show(live) {
   if (byId("drawingstyle").textContent !== live.drawing_style) byId("drawingstyle").textContent = live.drawing_style;
   byId("mount").innerHTML = live.mount.map(mountRow).join("");
   byId("turns").innerHTML = live.mount.map(turnRow).join("");
-  byId("reasons").innerHTML = live.reasons.map((r) => r.trouble ? `<li class="bad">trouble: ${escaped(r.text)}</li>` : `<li class="waits">waiting for ${escaped(r.who)}: ${escaped(r.text)}</li>`).join("");
+  byId("reasons").innerHTML = live.reasons.map((r) => `<li class="waits">waiting for ${escaped(r.who)}: ${escaped(r.text)}</li>`).join("");
   byId("convention").textContent = `${live.convention}.`;
   byId("progress").hidden = !live.progress;
   if (live.progress) { byId("goal").textContent = `To ${live.progress.goal}`; byId("gates").innerHTML = live.progress.gates.map((g) => gateRow(g, live.stale)).join(""); }
-  byId("inputs").innerHTML = live.inputs.map(inputRow).join("");
+  byId("inputs").innerHTML = live.inputs.map(inputRow).join("") || `<tr><td colspan="4">nothing yet</td></tr>`;
   const f = live.frames, rejected = Object.entries(live.rejected).map(([k, n]) => `${k.replace(/_/g, " ")} ${n}`).join(", ") || "none";
-  byId("frames").className = f.conflicts ? "bad" : "";
-  byId("frames").textContent = `${f.used} frames used, ${f.given_out} given out, ${f.lost} lost, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not used for the mount: ${live.left_out}` : ""}`;
+  byId("frames").className = f.conflicts ? "bad" : "soft";
+  byId("frames").textContent = `${f.used} frames used, ${f.given_out} sent, ${f.lost} lost, ${f.late} late, ${f.not_sent} not sent, ${f.conflicts} in conflict; rejected: ${rejected}${live.left_out ? `; not used for the mount: ${live.left_out}` : ""}`;
   byId("eventrows").innerHTML = [...live.events].reverse().map((e) => `<tr><td class="n">${e.at}</td><td>${e.kind}</td><td>${escaped(e.text)}</td></tr>`).join("");
   byId("note").textContent = live.note;
   showHistory(live.history);
@@ -138,3 +139,4 @@ async function ask() {
 }
 ask();
 setInterval(ask, 1000);
+addEventListener("resize", () => rows.length && showHistory({ columns: [], rows: [] }));
