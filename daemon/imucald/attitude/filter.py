@@ -212,7 +212,9 @@ class AttitudeFilter:
             self._restart()
 
     def _bridged(self, seconds: float) -> None:
-        """Add the error of a straight line between two rates with this time between them [s].
+        """Add to the covariance the error of a rate that is interpolated linearly over a gap.
+
+        seconds: length of the gap.
 
         The integral of a rate with a random walk of q per second differs from the integral of the
         line by a variance of q T^3 / 12.

@@ -199,7 +199,7 @@ def turn_gain_findings(
     else:
         name, product, other = "speed", "its product with the gyroscope's rate", "gyroscope"
     guess = gain_guess(1.0 / size, unit_advice.get(name))
-    text = f"{product} is {guess} (compared with the force in turns)"
+    text = f"compared with the lateral force in turns, {product} is {guess}"
     yield Finding(
         "error", name, text if knows_speed else f"{text}; or the unit of the {other} is wrong"
     )

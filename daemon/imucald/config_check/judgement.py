@@ -403,7 +403,7 @@ def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
             yield Finding("warning", name, text)
         elif is_beyond(gain, WRONG_UNIT):
             guess = gain_guess(gain, unit_advice.get(name))
-            yield Finding("warning", name, f"compared with the change of speed {guess}")
+            yield Finding("warning", name, f"compared with the change of speed, it is {guess}")
         else:
             yield Finding("ok", name, f"follows the change of speed (gain {gain:.2f})")
 

@@ -26,8 +26,8 @@ HALF_SQUARE = (1.5, 12.0)
 """Range of half of the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces the measured
 value."""
 MANY = 24
-"""Largest number of similar signals at which pairs from two messages are also tested. With more
-signals, only messages with exactly four similar signals are used."""
+"""Largest number of similar signals for which pairs from two different messages are tested. With
+more similar signals, only messages with exactly four of them are used."""
 
 IN_ORDER = "right wheels are faster in left turns"
 BY_TURNS = "left and right follow from the yaw rate"

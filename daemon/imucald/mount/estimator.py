@@ -691,8 +691,8 @@ class JointEstimator:
         return tuple(np.sqrt(own).tolist())
 
     def _misleading(self) -> tuple[float, ...]:
-        """Return the deviations (3,) of corrected data, as angles [rad]. An unconfirmed change is
-        not included."""
+        """Return the standard deviations (3,) of the errors left in corrected data, as roll, pitch
+        and yaw [rad]. An unconfirmed change of the mount is not included."""
         if self.solution is None:
             return (math.inf,) * 3
         return _as_angles(self.solution.sent(self._changes.borne**2))

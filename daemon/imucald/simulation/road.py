@@ -15,7 +15,7 @@ from imucald.simulation.filters import bilinear, filtered, gauss_markov, generat
 REFERENCE_WAVENUMBER = 0.1
 """Reference wavenumber of ISO 8608 [cycles/m]."""
 MIN_SLOPE_M = 7.0
-"""Length of each of two running means that smooth slope and cross fall [m]."""
+"""Window length [m] of the running mean that smooths slope and cross fall. It is applied twice."""
 MAX_ROUGHNESS_M = 100.0
 """Wavelength above which a wave belongs to slope and cross fall, not to roughness [m]."""
 MAX_TILT_WAVE_M = 20.0

@@ -47,7 +47,7 @@ class StampedTimes:
         self._others = self._others + 1 if line == self._last_other + 1 else 1
         self._last_other = line
         if self._others >= OTHER_LINES:
-            kinds = "seconds since 1970 or a date", "since the start or differences"
+            kinds = "a date or seconds since 1970", "since the start or differences"
             before, after = kinds if self._are_absolute else kinds[::-1]
             raise LogError(
                 f"{name}:{line - OTHER_LINES + 1}: from here on the time stamps have another "

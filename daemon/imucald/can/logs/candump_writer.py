@@ -117,7 +117,7 @@ class CandumpWriter:
 
 def _no_frame(name: str, t: float, can_id: int, length: int) -> LogError:
     return LogError(
-        f"{name}: no CAN frame has these values: time {t} s, id {can_id:X}, {length} bytes"
+        f"{name}: a CAN frame cannot have these values: time {t} s, id {can_id:X}, {length} bytes"
     )
 
 

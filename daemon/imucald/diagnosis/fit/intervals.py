@@ -23,8 +23,8 @@ class Estimate:
 
     value: Array
     se: Array
-    """Standard deviation: the largest of the sandwich, the sandwich with lag one, and the
-    model-based deviation. The wander between quarters of the data and the error of the equations
+    """Standard error of each parameter: the largest of three estimates (sandwich, sandwich with lag
+    one, model-based). The wander between quarters of the data and the error of the equations
     are added."""
     quantile: float
     pull: float
