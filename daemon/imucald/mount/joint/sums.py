@@ -175,7 +175,9 @@ class FitSums:
 
         spans: (B,) numbers of last road segments. A change is the difference between these segments
         and all earlier segments. Each change is fitted together with all constant coefficients. G:
-        result of `by_segment`.
+        result of `by_segment` without weights: weights that were learnt without a change would hide
+        the change. If the last segments, with the change, are louder than the earlier segments, the
+        variance grows by the same factor.
         """
         keep, total = self._fits.keep, G.sum(axis=1)
         p = total.shape[-1] - 1
