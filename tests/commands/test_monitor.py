@@ -104,7 +104,8 @@ SEEN_FIRST = {
     "a stuck sensor": ({}, {"accelerometer_faulty": True}, "ACCELEROMETER FAULTY"),
     "two calibrators": ({}, {"id_conflict": True}, "ANOTHER NODE SENDS OUR IDS"),
     "a suspect mount": ({"state": "suspect", "quality": 4}, {}, "SUSPECT"),
-    "no mount yet": ({"state": "levelled", "quality": 0}, {}, "not yet"),
+    "no mount yet": ({"state": "levelled", "quality": 0, "first_usable_s": None}, {}, "not yet"),
+    "an uncertain mount": ({"state": "levelled", "quality": 0}, {}, "not certain any more"),
 }
 
 
@@ -126,6 +127,7 @@ def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
     assert flow(now).kind == {"all is well": "good", "no mount yet": "not yet"}.get(
         case,
         {
+            "an uncertain mount": "not yet",
             "a stuck sensor": "faulty",
             "a suspect mount": "suspect",
             "two calibrators": "conflict",

@@ -110,8 +110,8 @@ def flow(status: Mapping[str, Any]) -> Flow:
         )
     if quality in GOOD:
         return Flow(FlowKind.GOOD, f"corrected frames flow, marked {GOOD[quality]}")
-    text = f"not yet: corrected frames say 'not available' (mount: {state})"
-    return Flow(FlowKind.NOT_YET, text)
+    when = "not yet" if status.get("first_usable_s") is None else "not certain any more"
+    return Flow(FlowKind.NOT_YET, f"{when}: corrected frames say 'not available' (mount: {state})")
 
 
 def _why_none(status: Mapping[str, Any]) -> str | None:
