@@ -202,7 +202,7 @@ def test_a_log_is_written_where_standard_output_has_no_bytes(
     ],
 )
 def test_what_is_no_frame_is_not_written(tmp_path: Path, frame: Frame) -> None:
-    no_frame = pytest.raises(LogError, match=r"a\.log: no CAN frame")
+    no_frame = pytest.raises(LogError, match=r"a\.log: a CAN frame cannot")
     with CandumpWriter(tmp_path / "a.log") as writer, no_frame:
         writer.write_columns(columns([Frame(1.0, 1, b"", "can0", False), frame]))
     assert (tmp_path / "a.log").read_bytes() == b""

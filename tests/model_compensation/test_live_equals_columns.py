@@ -148,12 +148,12 @@ def test_a_clock_that_is_set_ends_what_was_known_of_the_turning(tmp_path, by_col
         sender, engine = Sender(), engine_with(loaded, model)
         t = 1.6e9
         frames = []
-        for i in range(60):  # the mount is known by then
+        for i in range(40):  # the mount is known by then
             frames.append(sender.frame(t + 0.01 * i, "ACC_XY", BX=0.0, BY=0.0))
             frames.append(sender.frame(t + 0.01 * i, "ACC_Z", BZ=1.0))
-        frames.append(sender.frame(t + 0.6, "GYR", GX=0.0, GY=0.0, GZ=100.0 * turning))
-        frames.append(sender.frame(t + 0.61 + step, "ACC_XY", BX=0.0, BY=0.0))
-        frames.append(sender.frame(t + 0.61 + step, "ACC_Z", BZ=1.0))
+        frames.append(sender.frame(t + 0.4, "GYR", GX=0.0, GY=0.0, GZ=100.0 * turning))
+        frames.append(sender.frame(t + 0.41 + step, "ACC_XY", BX=0.0, BY=0.0))
+        frames.append(sender.frame(t + 0.41 + step, "ACC_Z", BZ=1.0))
         if by_columns:
             out = frames_of(engine.columns(columns_of(frames)))
         else:
