@@ -121,9 +121,7 @@ class AttitudeConsumer:
 
     def _turn(self, correction: Correction | None) -> None:
         if correction is None:
-            found = self.filter.check
-            if found is not None and self._correction is not None:  # valid in the sensor's axes
-                self._saved_check = _as_sensed(found, self._correction)
+            self._saved_check = self._sensed_check()  # valid for any later correction
             self.filter.reset()
         elif self._correction is not None:
             self.filter.turned(self._correction.rotation, correction.rotation)
@@ -147,12 +145,15 @@ class AttitudeConsumer:
         """Return the result of the sensor check for the saved state (sensor axes, SI); None before
         the check.
         """
+        kept = self._sensed_check()
+        return None if kept is None else kept.as_saved()
+
+    def _sensed_check(self) -> CheckResult | None:
+        """Return the result of the sensor check in sensor axes."""
         found = self.filter.check
         if found is None or self._correction is None:
-            kept = self._saved_check
-        else:
-            kept = _as_sensed(found, self._correction)
-        return None if kept is None else kept.as_saved()
+            return self._saved_check
+        return _as_sensed(found, self._correction)
 
     def restore_check(self, saved: object) -> None:
         """Store the sensor check of an earlier drive. The check is applied as soon as a mount is
