@@ -10,7 +10,7 @@ import numpy as np
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
-from imucald.core.samples import GRAVITY
+from imucald.core.samples import GRAVITY, HEADING
 
 Level = Literal["error", "warning", "note", "ok"]
 
@@ -23,7 +23,6 @@ gains of 0.8 to 1.2. A confusion of miles and kilometres multiplies the gain by 
 TURN_SIGN = "set 'sign: -1', or remove 'sign: -1' if it is set"
 """Text with the remedy for a wrong sign. If `sign: -1` is configured, this setting is the
 mistake."""
-HEADING_SIGN = f"a heading must increase in right turns; {TURN_SIGN}"
 
 _FACTORS = (
     (DEG_PER_RAD, "deg against rad"),
@@ -64,6 +63,13 @@ def gain_guess(ratio: float, unit_advice: str | None) -> str:
         if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
             return f"{words}, which looks like {guess}; {unit_advice}"
     return f"{words}; check its unit and scale"
+
+
+def sign_remedy(quantity: str) -> str:
+    """Return the remedy for a wrong sign of a single signal that shows turns."""
+    if quantity == HEADING.key:
+        return f"a heading must increase in right turns; {TURN_SIGN}"
+    return f"left turns must be positive; {TURN_SIGN}"
 
 
 def spread(x: Array) -> float:

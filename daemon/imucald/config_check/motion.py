@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.arrays import Array
-from imucald.core.samples import Samples, width_of
+from imucald.core.samples import HEADING, Samples, width_of
 from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
@@ -28,8 +28,6 @@ DRIVEN_TICKS = 600
 MIN_STANDING_TICKS = 20
 """Smallest standing time that is used to measure zero errors (after smoothing) [ticks]: two
 seconds."""
-
-HEADING = "heading"
 
 
 class TickMeans:
@@ -50,7 +48,7 @@ class TickMeans:
                 continue
             ticks = ticks[inside]
             values = series.values[inside].reshape(len(ticks), -1)
-            if channel == HEADING:
+            if channel == HEADING.channel:
                 values = self._continued(values)
             self._grow(channel, values.shape[1], int(ticks[-1]) + 1)
             np.add.at(self._sums[channel], ticks, values)
@@ -235,8 +233,9 @@ class Motion:
             found["lateral_acceleration"] = smooth(grid["lateral_accel"]) / fast
         if self.planar and self.accel is not None:
             found["accelerometer.y"] = self.accel[:, 1] / fast
-        if HEADING in grid:  # clockwise, and of a course only noise at a standstill
-            found[HEADING] = np.where(np.isfinite(fast), -change_of(smooth(grid[HEADING])), np.nan)
+        if HEADING.channel in grid:  # clockwise; the course of a standing vehicle is noise
+            change = change_of(smooth(grid[HEADING.channel]))
+            found[HEADING.key] = np.where(np.isfinite(fast), -change, np.nan)
         return found
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config_check.finding import HEADING_SIGN, TURN_SIGN, Finding
-from imucald.config_check.motion import HEADING, Motion
+from imucald.config_check.finding import TURN_SIGN, Finding, sign_remedy
+from imucald.config_check.motion import Motion
 from imucald.core.arrays import Array
 from imucald.mount.mirror import AT_REST
 
@@ -25,6 +25,7 @@ _SIDED = {
     "yaw_rate": "yaw_rate",
     "steering_wheel_angle": "steering",
     "lateral_acceleration": "lateral_accel",
+    "heading": "heading",
 }
 """Channels of the signals whose sign distinguishes left from right, by quantity."""
 _OTHER_SIDE = np.eye(4)[[1, 0, 3, 2]]
@@ -91,10 +92,7 @@ def _faults(motion: Motion) -> Iterator[SingleFault]:
     """Yield all single faults that the signals may have."""
     for quantity, channel in _SIDED.items():
         if channel in motion.grid:
-            remedy = f"left turns must be positive; {TURN_SIGN}"
-            yield SingleFault(quantity, "wrong sign", remedy, channel, -np.eye(1))
-    if HEADING in motion.grid:
-        yield SingleFault(HEADING, "wrong sign", HEADING_SIGN, HEADING, -np.eye(1))
+            yield SingleFault(quantity, "wrong sign", sign_remedy(quantity), channel, -np.eye(1))
     if "wheel_speeds" in motion.grid:
         text = "left and right exchanged"
         yield SingleFault("wheel_speeds", text, "exchange their lines", "wheel_speeds", _OTHER_SIDE)

@@ -8,16 +8,15 @@ from types import MappingProxyType
 import numpy as np
 
 from imucald.config_check.finding import (
-    HEADING_SIGN,
-    TURN_SIGN,
     Finding,
     gain_guess,
     is_beyond,
+    sign_remedy,
     spread,
 )
-from imucald.config_check.motion import HEADING
 from imucald.config_check.relation import relation
 from imucald.core.arrays import Array
+from imucald.core.samples import HEADING
 from imucald.mount.contradictions import UNLIKE, WRONG_UNIT
 
 MIN_TURNING = 0.008
@@ -46,7 +45,7 @@ def sign_findings(
     for name, rate in rates.items():
         if name in gains or spread(rate) <= MIN_TURNING or not reference:
             continue
-        if name == HEADING:  # a course may be late by more than a bend takes
+        if name == HEADING.key:  # a course may be late by more than a bend takes
             continue
         found = relation(rates[reference], rate)
         if abs(found.correlation) < UNLIKE and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
@@ -108,6 +107,4 @@ def _sign_hint(name: str) -> str:
             ": set 'sign: -1' on all three of its axes, or on all three axes of the "
             "accelerometer (or remove it if it is set)"
         )
-    if name == HEADING:
-        return f": {HEADING_SIGN}"
-    return f": left turns must be positive; {TURN_SIGN}"
+    return f": {sign_remedy(name)}"
