@@ -22,6 +22,7 @@ from imucald.diagnosis.direct.direct import Rest
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.result import (
+    EQUALLY_WELL,
     GOES_AGAINST,
     NOT_PLAUSIBLE,
     OTHERWISE,
@@ -162,7 +163,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     rivals = state.rivals.get(trial.hypothesis.name, [])
     if rivals:
         names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
-        texts.append(f"{names} explains data that was not used for the fit equally well")
+        texts.append(f"{names}{EQUALLY_WELL}")
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:

@@ -139,6 +139,8 @@ class Gain:
     """False if nothing was fitted. Facts that were read directly change no prediction."""
 
 
+EQUALLY_WELL = " explains data that was not used for the fit equally well"
+"""End of the sentence about other causes that explain such data too."""
 GOES_AGAINST = "goes against the model"
 """Kind of structure: a signal has the opposite sign of its prediction."""
 TOO_MUCH = "too much is left"

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from imucald.diagnosis.causes import BY_NAME
 from imucald.diagnosis.result import (
+    EQUALLY_WELL,
     GOES_AGAINST,
     NOT_PLAUSIBLE,
     OTHERWISE,
@@ -25,8 +26,6 @@ from imucald.report.model_changes import model_changes
 from imucald.report.numbers import for_people, in_file, number, typographic, unit_text
 from imucald.report.titles import cause_title, key_title, signal_title
 
-AS_WELL = " explains data that was not used for the fit equally well"
-"""End of the sentence in a diagnosis about other causes that fit as well."""
 MANY = 4
 """Largest number of names in a sentence. Of a longer list, the first names are shown."""
 
@@ -113,7 +112,7 @@ def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
     """Return the arguments against a cause. The texts contain the titles of other causes that fit
     as well."""
     texts = [_with_rivals(typographic(text)) for text in cause.against]
-    if not any(text.endswith(AS_WELL) for text in cause.against):
+    if not any(text.endswith(EQUALLY_WELL) for text in cause.against):
         groups = [g for g in diagnosis.look_alikes if cause.name in g]
         others = dict.fromkeys(cause_title(n) for g in groups for n in g if n != cause.name)
         if others:
@@ -148,12 +147,12 @@ def for_prediction_only(diagnosis: Diagnosis) -> str:
 
 
 def _with_rivals(text: str) -> str:
-    if not text.endswith(AS_WELL):
+    if not text.endswith(EQUALLY_WELL):
         return text
-    names = text.removesuffix(AS_WELL).split(" and ")
+    names = text.removesuffix(EQUALLY_WELL).split(" and ")
     rivals = few_of([cause_title(name.replace(" ", "_")) for name in names], "and")
     verb = "explains" if len(names) == 1 else "explain"
-    return f"{rivals} {verb}{AS_WELL.removeprefix(' explains')}"
+    return f"{rivals} {verb}{EQUALLY_WELL.removeprefix(' explains')}"
 
 
 def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
