@@ -61,6 +61,13 @@ class UnitChoice:
         """True if no other unit fits."""
         return self.is_stated or not self.others
 
+    @property
+    def doubt(self) -> str:
+        """Text of the reason why the unit is not sure; empty if it is sure."""
+        if self.is_sure:
+            return ""
+        return f"the database states no unit; {', '.join(self.others)} would also fit"
+
 
 def factor_of(text: str, dimension: str) -> float | None:
     """Return the SI value of 1 in a unit; None if the text is not a unit of this dimension."""

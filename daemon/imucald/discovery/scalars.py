@@ -138,8 +138,8 @@ def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: st
             "the size of its values does not fit any unit: the scale in the database is wrong, or "
             "the signal is another quantity"
         )
-    if not best.unit.is_sure:
-        return f"the database states no unit; {', '.join(best.unit.others)} would also fit"
+    if best.unit.doubt:
+        return best.unit.doubt
     if not best.candidate.states(quantity.dimension):
         rivals = [
             m for m in others if m.unit is not None and not is_better(best.relation, m.relation)

@@ -87,8 +87,8 @@ def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
 def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
     """Return the reason why the first of several speeds is not sure; empty if it is sure."""
     best = fits[0]
-    if not best.unit.is_sure:
-        return f"the database states no unit; {', '.join(best.unit.others)} would also fit"
+    if best.unit.doubt:
+        return best.unit.doubt
     if mean is not None:
         apart = apart_from(best, mean)
         if apart > ONE_UNIT:

@@ -88,8 +88,7 @@ class Turning:
                 unit = fitting or unit
         if unit is None:
             return None
-        if not unit.is_sure:
-            doubt = f"the database states no unit; {', '.join(unit.others)} would also fit"
+        doubt = unit.doubt or doubt
         choice, track = find_wheels(wheels, unit, doubt, reference)
         if track is not None:
             self.vehicle.append(
