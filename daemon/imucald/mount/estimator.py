@@ -628,7 +628,7 @@ class JointEstimator:
             checks.accuse_lasting(StandingFault.ACCEL_DRIFT, block)
         if self._failed_for:
             checks.accuse(StandingFault.NUMERICS)
-        if self._fits_no_sensor and not checks.standing:
+        if self._fits_no_sensor and not checks.standing:  # then the signals contradict each other
             checks.accuse(StandingFault.FORCE_TURNS)
         self._hold_against_orientation()
         for fault in self._stepped_zeros():

@@ -42,7 +42,7 @@ from imucald.core.samples import GRAVITY
 from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
-from imucald.mount.joint.state import SLOPE, SLOPE_M
+from imucald.mount.joint.state import IN_BENDS, SLOPE, SLOPE_M
 from imucald.mount.joint.sudden_changes import (
     ANSWER,
     EFFECT,
@@ -167,9 +167,9 @@ class Drifts(NamedTuple):
 
 ANSWERS: Final = np.array(
     [
-        [0.03, 0.03, 1.5, 3.0, 0.01],
-        [0.03, 0.03, 3.0, 1.5, 0.01],
-        [0.03, 0.03, 0.3, 0.3, 0.02],
+        [0.03, 0.03, 1.5, 3.0, IN_BENDS[0]],
+        [0.03, 0.03, 3.0, 1.5, IN_BENDS[1]],
+        [0.03, 0.03, 0.3, 0.3, IN_BENDS[2]],
     ]
 )
 """Prior standard deviations of the matrix B, the responses of the force to motion.

@@ -52,6 +52,7 @@ from imucald.mount.joint.state import (
     CROSS,
     CROWN,
     EPS,
+    IN_BENDS,
     NO_TURN,
     OFF,
     PHI,
@@ -134,9 +135,9 @@ USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
 """Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
 SPREAD: Final = np.array(
     [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
-        [0.1, 0.15, 0.05, 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, 0.01],
-        [0.1, 0.05, 0.15, 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, 0.01],
-        [0.5, 0.05, 0.05, 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, 0.02],
+        [0.1, 0.15, 0.05, 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0]],
+        [0.1, 0.05, 0.15, 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1]],
+        [0.5, 0.05, 0.05, 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2]],
     ]
 )
 """Prior standard deviations of the nuisance coefficients for each axis of the force.
@@ -855,7 +856,7 @@ class Evidence:
         """Find the delay of the speed for which the force fits dv/dt best. Also find the frequency
         bands in which the force follows dv/dt.
         """
-        cross, power = self._sums.followed
+        cross, power = self._sums.weigh_spectra()
         power = np.maximum(power, 1e-12)
         grid = DELAYS - self.delay
         noise = self._sums.force.noise[0]

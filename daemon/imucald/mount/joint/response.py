@@ -22,9 +22,10 @@ FREEDOM = 8.0
 """Degrees of freedom (Student's t distribution) of the ratio between a window's noise and the noise
 of the drive.
 
-This number was fitted to the residuals of four simulated drives, two drives of second_world and
-three measured drives. The results are 1 to 12, because roads and driving styles differ. A fit of
-few windows needs a number near the upper end of this range.
+The residuals of four simulated drives, two drives of second_world and three measured drives were
+each fitted with this distribution. The results are 1 to 12 degrees of freedom, because roads and
+driving styles differ. A fit of few windows needs a number near the upper end of this range. These
+drives are therefore not used to judge results.
 """
 PASSES, MORE_PASSES = 4, 2
 """Number of iterations of a first fit, and number of iterations of a fit that starts from the
@@ -115,8 +116,9 @@ def left_of(rows: Array, power: Array, packing: Packing) -> Array:
     """Return the expected power (F, n, BANDS) of the noise of fits in windows.
 
     rows: (F, n, BANDS, size) packed windows. power: (F, size) factors of each fit. The power is
-    that of the residual, plus that of the errors of the coefficients: a window that decides the fit
-    has a small residual, and its noise is not smaller for that.
+    the sum of two parts: the power of the residual, and the expected effect of the errors of the
+    coefficients. A window with much influence on the fit has a small residual, but its noise need
+    not be small.
     """
     flat = rows.reshape(len(rows), -1, packing.size)
     made = (flat @ power[:, :, None]).reshape(rows.shape[:3])

@@ -40,6 +40,12 @@ SLOPE, SLOPE_M = 0.02, 400.0
 """Standard deviation of a road's slope (tangent), and distance [m] between two independent slopes.
 This distance is twice the correlation length of the slope.
 """
+IN_BENDS: Final = (0.01, 0.01, 0.02)
+"""Prior standard deviations of the responses of the force to (v r)^2 [s^2/m], by axis.
+
+Tyres slip in bends: 700 kg on a rear axle with a cornering stiffness of 100 kN/rad give 0.007 along
+x. Bodies lean in bends by 4 to 6 deg/g, which is 0.007 to 0.011 along z (assumptions).
+"""
 FREE = 10.0
 """Prior standard deviation of an unknown rotation [rad]."""
 

@@ -175,9 +175,9 @@ class FitSums:
 
         spans: (B,) numbers of last road segments. A change is the difference between these segments
         and all earlier segments. Each change is fitted together with all constant coefficients. G:
-        result of `by_segment` without weights: weights that were learnt without a change would hide
-        the change. If the last segments, with the change, are louder than the earlier segments, the
-        variance grows by the same factor.
+        result of `by_segment` without weights: weights from a fit without the change would hide the
+        change. If the last segments have more residual power than the earlier segments, even with
+        the change, the variances grow by the same factor.
         """
         keep, total = self._fits.keep, G.sum(axis=1)
         p = total.shape[-1] - 1
@@ -303,10 +303,12 @@ class WindowSums:
         first = (n - 1) % length if to_last else length - 1
         return self._blocks[np.minimum(np.arange(first, n + first, length), n - 1)]
 
-    @property
-    def followed(self) -> tuple[Complex, Array]:
-        """Weighted sums for each frequency bin (bins,): the product of dv/dt with the force ahead,
-        and the square of dv/dt. The weights are those of the fit of the force ahead.
+    def weigh_spectra(self) -> tuple[Complex, Array]:
+        """Give each window its weight in the last fit of the forward force. A window in a road
+        segment keeps its earlier weight.
+
+        Return weighted sums for each frequency bin (bins,): the product of dv/dt with the forward
+        force, and the square of dv/dt.
         """
         trust = self.force.trust[0]
         self._trust[len(self._trust) - len(trust) :] = trust
