@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY
+from imucald.drive.roads import mean_slopes
 from imucald.drive.vertical import CarriedVertical
 from imucald.drive.windows import WINDOW, spectra
 from imucald.mount.joint import evidence as module
 from imucald.mount.joint import sums
-from imucald.mount.joint.evidence import Block, Evidence, Solution, mean_slopes
+from imucald.mount.joint.evidence import Block, Evidence, Solution
 from imucald.mount.joint.state import Priors
 from joint.planar_drive import ROTATION, Sensor, blocks, cross_talk
 

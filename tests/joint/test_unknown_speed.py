@@ -19,7 +19,7 @@ ALWAYS = ~NEVER
 
 
 def follower(is_carried: bool = True, steered: Steered | None = None) -> UnknownSpeed:
-    return UnknownSpeed(0.02, 400.0, 0.0, is_carried, steered)
+    return UnknownSpeed(0.02, 0.0, is_carried, steered)
 
 
 def driven(xy: float = 0.0, yx: float = 0.0) -> np.ndarray:

@@ -24,6 +24,7 @@ import numpy as np
 
 from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
+from imucald.drive.roads import SLOPE_M, slope_way
 from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.ticks import TICK_S
 
@@ -114,14 +115,14 @@ class UnknownSpeed:
     """Estimates the speed from block to block.
 
     is_carried: the vertical is integrated with a gyroscope. steered: the turn rate is computed from
-    a steering angle; None: the turn rate is measured. slope: deviation of a road's slope. slope_m:
-    distance after which the slope is independent [m]. lean: mean slope across the road.
+    a steering angle; None: the turn rate is measured. slope: deviation of a road's slope. lean:
+    mean slope across the road.
     """
 
     def __init__(
-        self, slope: float, slope_m: float, lean: float, is_carried: bool, steered: Steered | None
+        self, slope: float, lean: float, is_carried: bool, steered: Steered | None
     ) -> None:
-        self._slope, self._slope_m, self._lean = slope, slope_m, lean
+        self._slope, self._lean = slope, lean
         self._is_carried, self._steered = is_carried, steered
         self._states: Array = np.zeros((5, len(NAMES)))
         self.restart()
@@ -199,7 +200,7 @@ class UnknownSpeed:
         if self._is_carried and is_usable:
             stays, grows, turned, wrong = 1.0, VERTICAL_WALK**2 * TICK_S, r * TICK_S, TICK_S
         else:
-            share = (abs(v) + STANDING) * TICK_S / self._slope_m
+            share = (slope_way(v) + STANDING) * TICK_S / SLOPE_M
             stays, grows = math.exp(-2.0 * share), 4.0 * share * self._slope**2
             turned = wrong = 0.0
             given[U_X : U_Y + 1] = 0.0
@@ -214,7 +215,7 @@ class UnknownSpeed:
 
     def _pull_to_roads(self, v: float) -> None:
         """Apply the prior of the slopes for the last `PULLED` ticks."""
-        share = PULLED * (abs(v) + STANDING) * TICK_S / self._slope_m
+        share = PULLED * (slope_way(v) + STANDING) * TICK_S / SLOPE_M
         for i, mean in ((U_X, 0.0), (U_Y, self._lean)):
             off = -self._states[i]
             off[0] += mean

@@ -33,6 +33,8 @@ BLOCK = 64
 Windows overlap, so each tick counts `OVERLAP` times in a frequency band.
 """
 OVERLAP = 1.925
+APART = 4
+"""Distance of the ticks whose differences give a second derivative: 0.4 s."""
 EDGES: Final = (1, 2, 3, 4, 6, 9, 13, 19, 26)
 """Edges of the frequency bands, from 0.04 to 1 Hz. The unit is the width of a Fourier bin, 0.039
 Hz.
@@ -48,13 +50,15 @@ EXTRA = (
     "-v q", "jerk", "d(v r)/dt", "dp/dt", "dq/dt", "dr/dt", "r^2", "v", "tilted x", "tilted y",
     "dv/dt v r", "(v r)^2",
 )  # fmt: skip
-TURNING = ("p", "q", "r", "v r^2")
+TURNING = ("p", "q", "r", "v r^2", "d2(v r)/dt2")
 TURNED = ("turned x", "turned y")
 NAMES = ("y x", "y y", "y z", *MAIN, *EXTRA, *TURNING, *TURNED)
 FIRST_X = 3
 X = slice(FIRST_X, FIRST_X + len(MAIN) + len(EXTRA))
 RATES = slice(X.stop, X.stop + 2)
-TURN_COLUMNS = tuple(NAMES.index(name) for name in ("r", "d(v r)/dt", "jerk", "dr/dt", "v r^2"))
+TURN_COLUMNS = tuple(
+    NAMES.index(name) for name in ("r", "d(v r)/dt", "jerk", "dr/dt", "v r^2", "d2(v r)/dt2")
+)
 
 _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _RAMP = np.linspace(-1.0, 1.0, WINDOW)
@@ -82,7 +86,7 @@ def columns(
         [
             y, accel, lateral, -bend, _slope(accel), _slope(lateral), _slope(p), _slope(q),
             _slope(r), r * r, speed, GRAVITY * tilts[:, 0, 0], GRAVITY * tilts[:, 0, 1],
-            accel * lateral, lateral * lateral, p, q, r, lateral * r,
+            accel * lateral, lateral * lateral, p, q, r, lateral * r, _slope_of_slope(lateral),
             GRAVITY * tilts[:, 2, 0], GRAVITY * tilts[:, 2, 1],
         ]
     )  # fmt: skip
@@ -95,6 +99,20 @@ def _slope(x: Array) -> Array:
     made[:, 1:-1] = (x[:, 2:] - x[:, :-2]) * (0.5 / TICK_S)
     made[:, 0] = (x[:, 1] - x[:, 0]) / TICK_S
     made[:, -1] = (x[:, -1] - x[:, -2]) / TICK_S
+    return made.ravel()
+
+
+def _slope_of_slope(x: Array) -> Array:
+    """Return the second derivative of each column within each block, as a mean over `APART` ticks.
+
+    Differences of neighbouring ticks would be mostly noise. A mean over 0.8 s follows a body, whose
+    roll frequency is below 2 Hz.
+    """
+    x = x.reshape(-1, BLOCK)
+    made = np.empty_like(x)
+    made[:, APART:-APART] = x[:, 2 * APART :] - 2.0 * x[:, APART:-APART] + x[:, : -2 * APART]
+    made[:, :APART], made[:, -APART:] = made[:, APART, None], made[:, -APART - 1, None]
+    made /= (APART * TICK_S) ** 2
     return made.ravel()
 
 

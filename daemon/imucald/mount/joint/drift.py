@@ -8,13 +8,13 @@ mount rotates the gyroscope too. This rotation separates the creep from the zero
 slope. The filter's model is a drive without faults. In this model, everything is constant except
 the vertical and the zero errors of both sensors. These zero errors are slow random walks:
 
-    left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2, (v r)^2) + noise
+    left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2, (v r)^2, d(v r)/dt) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
-    u = m + slope, a new slope every `SLOPE_M` metres
+    u = m + slope, a new slope every `SLOPE_M` metres (`drive.roads.slope_way`)
 
 left: force minus the motion's part (3). u: horizontal part of the vertical (2). z: zero error of
 the rate (3). e: tilt of the gyroscope (2). m: tilt of the working axes (2). b: zero error of the
-force (3). B: responses to motion that remain in the working axes (3 by 5).
+force (3). B: responses to motion that remain in the working axes (3 by 6).
 
 A drift of the zero error is a ramp in b. The rate of the ramp and its direction are unknown. The
 effect of the ramp on the innovations is linear in the rate. The likelihood ratio of each onset is
@@ -39,10 +39,11 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.samples import GRAVITY
+from imucald.drive.roads import SLOPE, SLOPE_M, slope_way
 from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
-from imucald.mount.joint.state import IN_BENDS, SLOPE, SLOPE_M
+from imucald.mount.joint.state import IN_BENDS
 from imucald.mount.joint.sudden_changes import (
     ANSWER,
     EFFECT,
@@ -148,9 +149,9 @@ class Drifts(NamedTuple):
     """
     lost: float = 0.01
     """Increase of the vertical's deviation for each unused tick [rad]."""
-    gyro: float = 0.036
-    """Tilt of the gyroscope's working axes [rad]. The value combines `state.Priors.gyro` with
-    `tilt`.
+    gyro: float = 0.06
+    """Tilt of the gyroscope's working axes [rad]. The value is wide, because the first working axes
+    may be wrong by several degrees. `fusion` applies the prior of a sensor (`state.Priors.gyro`).
     """
     tilt: float = 0.03
     """Tilt of the working axes relative to the vehicle's axes [rad]."""
@@ -167,15 +168,16 @@ class Drifts(NamedTuple):
 
 ANSWERS: Final = np.array(
     [
-        [0.03, 0.03, 1.5, 3.0, IN_BENDS[0]],
-        [0.03, 0.03, 3.0, 1.5, IN_BENDS[1]],
-        [0.03, 0.03, 0.3, 0.3, IN_BENDS[2]],
+        [0.06, 0.06, 1.5, 3.0, IN_BENDS[0], 0.05],
+        [0.06, 0.06, 3.0, 1.5, IN_BENDS[1], 0.15],
+        [0.06, 0.06, 0.3, 0.3, IN_BENDS[2], 0.05],
     ]
 )
 """Prior standard deviations of the matrix B, the responses of the force to motion.
 
-Columns 1 and 2: cross-talk and gains. Columns 3 and 4: lever arm [m]. Column 5: slip and lean of a
-vehicle in bends [s^2/m].
+Columns 1 and 2: cross-talk and gains, wide for the first working axes. Columns 3 and 4: lever arm
+[m]. Column 5: slip and lean of a vehicle in bends [s^2/m]. Column 6: lag of the lateral velocity in
+bends [s], as in `evidence.SPREAD`.
 """
 LEARNT, LEAST, MOST = 200.0, 0.02, 100.0
 """Number of means over which the noise is estimated (160 s). Smallest and largest ratio of the
@@ -310,7 +312,7 @@ class ZeroDrift:
         used = use.reshape(STEPS, STEP).sum(axis=1)
         means = _means(left, rate[:, 2], speed, accel, use, used)
         turns = rate.reshape(STEPS, STEP, 3).sum(axis=1) * TICK_S
-        passed = (np.abs(speed) * use).reshape(STEPS, STEP).sum(axis=1) * TICK_S
+        passed = (slope_way(speed) * use).reshape(STEPS, STEP).sum(axis=1) * TICK_S
         (xx, xy), (yx, yy) = rate_walk[:2, :2].tolist()
         walked = np.array([[yy, -yx], [-xy, xx]])  # a turn about y moves the vertical along x
         cuts = [0, *(k for k in np.flatnonzero(used < STEP).tolist() if k), STEPS]
@@ -425,11 +427,11 @@ class ZeroDrift:
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
     def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
-        """Update the state with the means (n, 9) of the steps `held`.
+        """Update the state with the means (n, 10) of the steps `held`.
 
         Then update the vertical at the end of the last step with the prior of road slopes. The
-        weight of this prior depends on the distance passed [m]. Finally predict the state at the
-        end of the steps.
+        weight of this prior depends on the distance passed [m], see `slope_way`. Finally predict
+        the state at the end of the steps.
         """
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n
@@ -515,14 +517,15 @@ class ZeroDrift:
 
 
 def _means(left: Array, r: Array, speed: Array, accel: Array, use: Flags, used: Array) -> Array:
-    """Return means (STEPS, 9) over the usable ticks. The columns are the force minus the motion's
-    part, the five motions of the matrix B, and the speed.
+    """Return means (STEPS, 10) over the usable ticks. The columns are the force minus the motion's
+    part, the six motions of the matrix B, and the speed.
     """
     every = np.empty((4 + MOTIONS, len(r)))
     every[:3], every[3], every[4] = left.T, accel, speed * r
     every[5, 1:-1] = (r[2:] - r[:-2]) * (0.5 / TICK_S)
-    every[5, [0, -1]] = every[5, [1, -2]]
-    every[6], every[7], every[8] = r * r, every[4] ** 2, speed
+    every[8, 1:-1] = (every[4, 2:] - every[4, :-2]) * (0.5 / TICK_S)
+    every[5, [0, -1]], every[8, [0, -1]] = every[5, [1, -2]], every[8, [1, -2]]
+    every[6], every[7], every[9] = r * r, every[4] ** 2, speed
     sums = (every * use).reshape(len(every), STEPS, STEP).sum(axis=2)
     return np.asarray((sums / np.maximum(used, 1)).T)
 

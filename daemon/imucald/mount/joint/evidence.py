@@ -25,6 +25,7 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.drive import windows as wd
+from imucald.drive.roads import SLOPE_M, mean_slopes, slope_way, without_bend
 from imucald.drive.speed_knots import known_times, means_between
 from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
@@ -47,7 +48,7 @@ from imucald.mount.joint.moves import (
     Move,
     likeliest_move,
 )
-from imucald.mount.joint.response import PRIOR_SEGMENTS, SEGMENTS
+from imucald.mount.joint.response import SEGMENTS
 from imucald.mount.joint.state import (
     CROSS,
     CROWN,
@@ -56,7 +57,6 @@ from imucald.mount.joint.state import (
     NO_TURN,
     OFF,
     PHI,
-    SLOPE_M,
     TURN,
     UNKNOWNS,
     ZERO,
@@ -145,9 +145,12 @@ SPREAD: Final = np.array(
 Causes of the nuisances: curvature of the road, delay of the speed, lag of the body, lever arm [m],
 zero error of the gyroscope, tilt of the gyroscope, even terms.
 """
-TURN_SPREAD: Final = np.array([1.0, 0.02, 0.02, 0.3, 0.02])
+TURN_SPREAD: Final = np.array([1.0, 0.02, 0.02, 0.3, 0.02, 0.003])
 """Prior standard deviations of the coefficients of roll rate and pitch rate: axis of turning,
-rolling, pitching, dr/dt, lean in bends.
+rolling, pitching, dr/dt, lean in bends, lag of the rolling.
+
+Bodies roll later than v r rises, because the springs are damped and the lateral velocity takes time
+to build up. The last value is the rolling times a lag of 0.15 s (assumption).
 """
 _XS = tuple(range(wd.X.start, wd.X.stop))
 _ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
@@ -372,7 +375,7 @@ class Evidence:
         self._due = 0
         self._sums = WindowSums(force_fits(signals), TURN_FITS)
         self._answered = WITH_SPEED if signals.speed else WITHOUT_SPEED
-        slopes = priors.slope, SLOPE_M, priors.crown[0]
+        slopes = priors.slope, priors.crown[0]
         self._unknown = UnknownSpeed(*slopes, is_carried=signals.gyro, steered=signals.steered)
         self._levels: Array = np.zeros((0, 6))
         self._done = self._followed = 0
@@ -694,13 +697,12 @@ class Evidence:
         """Add one row of sums for each block, from which the mean of the horizontal gravity is
         computed.
 
-        The weight of a tick is the distance driven in the tick. At high speed, slopes are longer,
-        so the weight is reduced. left: (N, 3) or (N, 2) force minus the motion's part [m/s^2].
+        The weight of a tick is the distance driven in the tick, reduced at high speed
+        (`drive.roads`). left: (N, 3) or (N, 2) force minus the motion's part [m/s^2].
         speed: (N,) [m/s]. ahead: (N,) speed along the direction of travel that the gear shows
         [m/s].
         """
-        slow = np.sqrt(1.0 + np.square(speed / self._priors.slow))
-        passed = np.abs(speed) / slow * use * TICK_S
+        passed = slope_way(speed) * use * TICK_S
         weight = passed + 0.05 * TICK_S * use
         square = weight * np.square(speed)
         rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square, ahead * use])
@@ -1141,59 +1143,6 @@ def _leaning(lateral: Array, accel: Array) -> Array:
     return np.column_stack(
         [ROLLS * np.gradient(lateral, TICK_S), -PITCHES * np.gradient(accel, TICK_S)]
     )
-
-
-def mean_slopes(blocks: Array, parts: NDArray[np.int_], slope: float) -> tuple[Array, Array]:
-    """Return the mean slopes of roads (K, 2), and the variances of these means (K, 2).
-
-    blocks: (n, 4) for each block the weighted sum of slopes along the vehicle, the weighted sum of
-    slopes across the vehicle, the weight, and the distance [m]. parts: (K, 2) index of the first
-    block of each mean, and index after the last block. slope: expected deviation of a road's slope.
-    If slopes last longer than expected, the spread between road segments is larger than expected.
-    The variance is then multiplied by the measured ratio.
-    """
-    sums = np.zeros((len(blocks) + 1, 4))
-    np.cumsum(blocks, axis=0, out=sums[1:])
-    starts, stops = parts[:, :1], parts[:, 1:]
-    level, weight, metres = np.split(sums[parts[:, 1]] - sums[parts[:, 0]], (2, 3), axis=1)
-    mean = level / np.maximum(weight, 1e-9)
-    expected = slope**2 / (1.0 + metres / SLOPE_M)
-    at = np.arange(len(blocks))
-    inside = (at >= starts) & (at < stops)
-    off = (blocks[:, :2].T - mean[:, :, None] * blocks[:, 2]) * inside[:, None]
-    passed = np.where(inside, sums[1:, 3] - sums[starts, 3], 0.0)
-    rows = np.arange(2 * len(parts)).reshape(-1, 2, 1)
-    grow = np.ones(mean.shape)
-    for length in (SLOPE_M, 4.0 * SLOPE_M):
-        place = (passed / length).astype(int)
-        n = place.max(axis=1)[:, None] + 1.0
-        most = int(n.max())
-        at_place = (rows * most + place[:, None]).ravel()
-        each = np.bincount(at_place, off.ravel(), rows.size * most).reshape(-1, 2, most)
-        found = (each**2).sum(axis=2) + (each[:, :, 1:] * each[:, :, :-1]).sum(axis=2)
-        ratio = found * n / np.maximum(n - 1.0, 1.0) / np.maximum(weight, 1e-9) ** 2 / expected
-        found_grow = (PRIOR_SEGMENTS + n * ratio) / (PRIOR_SEGMENTS + n)
-        grow = np.where(n > 1.0, np.maximum(grow, found_grow), grow)
-    return mean, expected * grow
-
-
-def without_bend(blocks: Array, variance: float, bend: float) -> tuple[float, float]:
-    """Return the mean slope across the vehicle, and the variance of this mean, for a path whose
-    curvature has an unknown zero error.
-
-    blocks: (n, 5) columns as in `mean_slopes`, and the weighted sum of squares of the speed divided
-    by g. variance: variance of the mean without a zero error. bend: deviation of the curvature's
-    zero error [1/m].
-    """
-    weight = blocks[:, 2]
-    share, square = weight / weight.sum(), blocks[:, 4] / np.maximum(weight, 1e-9)
-    rows = np.column_stack([np.ones(len(blocks)), square])
-    information = rows.T @ (share[:, None] * rows) / variance
-    information[1, 1] += bend**-2
-    across = np.divide(blocks[:, 1], weight, out=np.zeros(len(blocks)), where=weight > 1e-9)
-    score = rows.T @ (share * across) / variance
-    covariance = inverse(information)
-    return float(covariance[0] @ score), float(covariance[0, 0])
 
 
 def _by_window(x: NDArray[Any]) -> NDArray[Any]:

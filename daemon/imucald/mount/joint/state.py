@@ -16,6 +16,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
+from imucald.drive.roads import SLOPE
 from imucald.drive.unknown_speed import Steered
 from imucald.mount.estimate import SentDeviations
 from imucald.mount.priors import CROSS_AXIS
@@ -35,10 +36,6 @@ MOST_GAIN = 1.45
 
 The value is 1 plus four standard deviations of the sum of two cross-axis terms of 8 %. The size of
 8 % is the largest size of cross-axis terms that is tested.
-"""
-SLOPE, SLOPE_M = 0.02, 400.0
-"""Standard deviation of a road's slope (tangent), and distance [m] between two independent slopes.
-This distance is twice the correlation length of the slope.
 """
 IN_BENDS: Final = (0.01, 0.01, 0.02)
 """Prior standard deviations of the responses of the force to (v r)^2 [s^2/m], by axis.
@@ -105,12 +102,6 @@ class Priors(NamedTuple):
     crown: tuple[float, float] = (0.012, 0.006)
     """Mean lean of the roads, and standard deviation of this mean (tangent)."""
     slope: float = SLOPE
-    slow: float = 15.0
-    """Speed [m/s] above which the length of slopes grows in proportion to the speed.
-
-    The length of crests and sags is designed for the sight distance at the design speed
-    (assumption). In the rules of AASHTO, the length grows more than in proportion to the speed.
-    """
     sideslip: float = 0.0025
     """Deviation of E_xy from the slip of tyres in bends."""
     pitching: float = 0.0035

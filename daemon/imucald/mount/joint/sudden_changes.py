@@ -27,8 +27,8 @@ from imucald.core.arrays import Array, solved
 from imucald.core.samples import GRAVITY
 
 UP, RATE_ZERO, GYRO, TILT = slice(0, 2), slice(2, 5), slice(5, 7), slice(7, 9)
-MOTIONS = 5
-"""Number of motions to which the force responds: dv/dt, v r, dr/dt, r^2, (v r)^2."""
+MOTIONS = 6
+"""Number of motions to which the force responds: dv/dt, v r, dr/dt, r^2, (v r)^2, d(v r)/dt."""
 ZERO, ANSWER = slice(9, 12), slice(12, 12 + 3 * MOTIONS)
 UPWARD = slice(ZERO.stop - 1, ZERO.stop)
 STATES = ANSWER.stop
