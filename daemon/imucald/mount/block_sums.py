@@ -57,22 +57,31 @@ def block_sums(p: SignalBlock, turn_rate: Array, use: Flags) -> BlockSums:
     return BlockSums(int(n), (x, y, z), accel, turn, speed, fastest)
 
 
-def pair_sums(
-    x: Array, y: Array, use: Flags, centred: bool = False
-) -> tuple[int, float, float, float]:
-    """Return the number of ticks that `use` (N,) selects, and their sums of x x, x y, y y.
+class PairSums(NamedTuple):
+    """Sums over ticks of two signals x and y: number of ticks, x x, x y, y y, x, y."""
 
-    centred: subtract the means of x and y before the products.
-    """
+    ticks: float = 0.0
+    xx: float = 0.0
+    xy: float = 0.0
+    yy: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+
+    def centred(self) -> PairSums:
+        """Return the sums after the means of x and y were subtracted."""
+        n, xx, xy, yy, x, y = self
+        n = max(n, 1.0)
+        return PairSums(n, xx - x * x / n, xy - x * y / n, yy - y * y / n)
+
+
+def pair_sums(x: Array, y: Array, use: Flags) -> PairSums:
+    """Return the sums of two signals (N,) over the ticks that `use` (N,) selects."""
     count = int(np.count_nonzero(use))
     if not count:
-        return 0, 0.0, 0.0, 0.0
+        return PairSums()
     if count < len(use):
         x, y = x[use], y[use]
-    if centred:
-        x, y = x - x.sum() / count, y - y.sum() / count
-    xx, xy, yy = (float(one.sum()) for one in (x * x, x * y, y * y))
-    return count, xx, xy, yy
+    return PairSums(count, *(float(one.sum()) for one in (x * x, x * y, y * y, x, y)))
 
 
 def masked_sums(values: Array, use: Flags) -> tuple[int, float, float, float]:

@@ -19,6 +19,7 @@ import enum
 import math
 from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from imucald.core.arrays import Array, Flags, median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE
-from imucald.mount.block_sums import pair_sums
+from imucald.mount.block_sums import PairSums, pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
 
@@ -36,7 +37,6 @@ OPPOSITE = -0.3
 """Correlation limit for signals that contain slope or come from a speed with few samples. With this
 limit, only a wrong sign is detected.
 """
-NOTHING = (0.0, 0.0, 0.0)
 LIKE = 0.6
 """Correlation from which two signals count as showing the same motion. The command `check` uses the
 same limit.
@@ -48,7 +48,7 @@ row that ends the fault.
 REMEMBERED = 5
 WRONG_UNIT = 1.9
 """Gain above which the unit of a signal counts as wrong. A gain below the inverse counts as wrong
-too.
+too. Noise of neither signal can then explain the gain (`Piece`).
 
 The limit is the geometric mean of 1 and 3.6, the smallest factor between units that are often
 confused. Body roll, superelevation and squat cause gains of 0.7 to 1.3.
@@ -141,25 +141,59 @@ WORDS = {
 _YAW_RATE, _STEERING, _FORCES = 1, 2, 4
 """Bit of each pair that is checked in a block."""
 
-_Sums = Sequence[float]
-"""Number of ticks of a block, and the sums of x x, x y, y y of a pair of signals over these
-ticks."""
+
+class Piece(NamedTuple):
+    """Two signals x and y in a piece of the drive: their correlation and two slopes.
+
+    The slopes of y on x are those of two regressions: of y on x, and of x on y. Noise of x makes
+    the first slope too small, and noise of y makes the second slope too large. The true gain lies
+    between them (Frisch, Statistical Confluence Analysis, 1934).
+    """
+
+    correlation: float
+    slope: float
+    other_slope: float
+
+    @classmethod
+    def of(cls, sums: PairSums) -> Piece:
+        """Return the piece with these sums."""
+        _, xx, xy, yy, *_ = sums
+        correlation = xy / math.sqrt(max(xx * yy, 1e-30))
+        return cls(correlation, xy / xx, yy / xy if xy else math.inf)
+
+    @property
+    def has_odd_gain(self) -> bool:
+        """True if the two signals show the same motion in different units."""
+        is_odd = self.slope > WRONG_UNIT or self.other_slope < 1.0 / WRONG_UNIT
+        return self.correlation > LIKE and is_odd
 
 
 class PairWatch:
-    """Correlations and gains of two signals that must show the same motion, piece by piece."""
+    """Correlations and gains of two signals that must show the same motion, piece by piece.
 
-    def __init__(self, least: float, unlike: float = UNLIKE, unit_known: bool = True) -> None:
+    has_zero: the first signal has an unknown zero error, so the means of a piece are subtracted.
+    """
+
+    def __init__(
+        self,
+        least: float,
+        unlike: float = UNLIKE,
+        unit_known: bool = True,
+        has_zero: bool = False,
+    ) -> None:
         self._least, self._unlike, self._unit_known = least, unlike, unit_known
-        self._sums = NOTHING  # x x, x y, y y
-        self._blocks = 0
-        self._pieces: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
+        self._has_zero = has_zero
+        self._pieces: deque[Piece] = deque(maxlen=REMEMBERED)
+        self._begin_piece()
         self.accused = False
         self.odd_gain = False
 
+    def _begin_piece(self) -> None:
+        self._sums, self._blocks = PairSums(), 0
+
     def forget(self) -> None:
         """Forget all pieces. A present fault remains until new pieces of the pair agree."""
-        self._sums, self._blocks = NOTHING, 0
+        self._begin_piece()
         self._pieces.clear()
 
     @property
@@ -170,7 +204,7 @@ class PairWatch:
     @property
     def last_unlike(self) -> bool:
         """True if the two signals do not fit each other in the last piece."""
-        return bool(self._pieces) and self._is_wrong(*self._pieces[-1])
+        return bool(self._pieces) and self._is_wrong(self._pieces[-1])
 
     @property
     def agreed(self) -> bool:
@@ -178,53 +212,54 @@ class PairWatch:
         fault."""
         if self.accused or self.odd_gain or not self._pieces:
             return False
-        correlation, gain = self._pieces[-1]
-        return correlation >= LIKE and not self._is_odd(correlation, gain)
+        last = self._pieces[-1]
+        return last.correlation >= LIKE and not self._is_odd(last)
 
     @property
     def share(self) -> float:
         """Collected share (0 to 1) of the energy for the next piece; 1 once the pair has agreed."""
-        return 1.0 if self.agreed else min(self._sums[0] / self._least, 1.0)
+        return 1.0 if self.agreed else min(self._held.xx / self._least, 1.0)
 
     @property
     def gain(self) -> float:
         """Median of the gains of the stored pieces."""
-        return median([g for _, g in self._pieces]) if self._pieces else 1.0
+        return median([piece.slope for piece in self._pieces]) if self._pieces else 1.0
+
+    @property
+    def _held(self) -> PairSums:
+        return self._sums.centred() if self._has_zero else self._sums
 
     def add_signals(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block. x: (N,) the reliable signal. y: (N,) the signal that must follow x."""
         self.add_sums(pair_sums(x, y, use))
 
-    def add_sums(self, sums: _Sums) -> None:
+    def add_sums(self, sums: PairSums) -> None:
         """Take the sums of a block."""
-        n, *more = sums
-        if not n:
+        if not sums.ticks:
             return
-        xx, xy, yy = (before + new for before, new in zip(self._sums, more, strict=True))
-        self._sums = xx, xy, yy
+        self._sums = PairSums(*(a + b for a, b in zip(self._sums, sums, strict=True)))
         self._blocks += 1
-        if not math.isfinite(xx + yy):
-            self._sums = NOTHING
+        held = self._held
+        if not math.isfinite(held.xx + held.yy):
+            self._sums = PairSums()
             return
-        if xx >= self._least:
-            correlation = xy / math.sqrt(max(xx * yy, 1e-30))
-            self._pieces.append((correlation, xy / xx))
+        if held.xx >= self._least:
+            self._pieces.append(Piece.of(held))
             self._judge()
-        if xx >= self._least or self._blocks >= MAX_BLOCKS:
-            self._sums, self._blocks = NOTHING, 0
+        if held.xx >= self._least or self._blocks >= MAX_BLOCKS:
+            self._begin_piece()
 
-    def _is_odd(self, correlation: float, gain: float) -> bool:
-        is_other = not 1.0 / WRONG_UNIT < gain < WRONG_UNIT
-        return self._unit_known and correlation > LIKE and is_other
+    def _is_odd(self, piece: Piece) -> bool:
+        return self._unit_known and piece.has_odd_gain
 
-    def _is_wrong(self, correlation: float, gain: float) -> bool:
-        return correlation < self._unlike or self._is_odd(correlation, gain)
+    def _is_wrong(self, piece: Piece) -> bool:
+        return piece.correlation < self._unlike or self._is_odd(piece)
 
     def _judge(self) -> None:
-        unlike = sum(c < self._unlike for c, _ in self._pieces)
-        odd = sum(self._is_odd(*piece) for piece in self._pieces)
+        unlike = sum(piece.correlation < self._unlike for piece in self._pieces)
+        odd = sum(self._is_odd(piece) for piece in self._pieces)
         last = list(self._pieces)[-TO_ACQUIT:]
-        acquitted = len(last) == TO_ACQUIT and not any(self._is_wrong(*piece) for piece in last)
+        acquitted = len(last) == TO_ACQUIT and not any(self._is_wrong(piece) for piece in last)
         self.accused = not acquitted and (self.accused or unlike >= TO_ACCUSE)
         self.odd_gain = not acquitted and (self.odd_gain or odd >= TO_ACCUSE)
 
@@ -251,7 +286,7 @@ class Contradictions:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self.yaw_rate = PairWatch(MIN_TURNING)
+        self.yaw_rate = PairWatch(MIN_TURNING, has_zero=True)
         self.steering = PairWatch(MIN_TURNING, unit_known=False)
         self.turns = PairWatch(MIN_FORCE, unit_known=False)
         self.hard_turns = PairWatch(MIN_FORCE)
@@ -366,7 +401,6 @@ class Contradictions:
 
 
 _NO_MOUNT = np.zeros((3, 3))
-_NOTHING_SEEN = (0, 0.0, 0.0, 0.0)
 
 
 def _sums_of_pairs(
@@ -378,14 +412,14 @@ def _sums_of_pairs(
     R: Array,
     walk: float,
     late: int,
-) -> Sequence[_Sums]:
+) -> Sequence[PairSums]:
     """Return the sums of a block for five pairs: yaw rate, steering, turns, hard turns and speed. A
     pair that is not checked has zeros.
 
     vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
     [rad/s] that the rate itself does not show. late: delay of the speed against the force [ticks].
     """
-    found: list[_Sums] = [_NOTHING_SEEN] * 5
+    found = [PairSums()] * 5
     moving = p.ok_speed & (np.abs(p.speed) > MOVING)
     if asked & _YAW_RATE:
         found[0] = pair_sums(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)

@@ -74,8 +74,8 @@ class Mirrored:
         """Take the two signals (N,) of a block."""
         if np.count_nonzero(use) < LEAST_TICKS:
             return
-        _, xx, xy, yy = pair_sums(x, y, use, centred=True)
-        both, cross = xx + yy + self._floor, 2.0 * xy
+        sums = pair_sums(x, y, use).centred()
+        both, cross = sums.xx + sums.yy + self._floor, 2.0 * sums.xy
         ratio = 0.5 * self._independent * math.log((both + cross) / (both - cross))
         self.sum = min(max(self.sum + min(max(ratio, -MOST), MOST), -HELD), HELD)
         self.blocks += 1
