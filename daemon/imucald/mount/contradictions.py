@@ -26,7 +26,7 @@ import numpy as np
 from imucald.core.arrays import Array, Flags, median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
-from imucald.mount.alternatives import MAX_REVERSE
+from imucald.mount.alternatives import MAX_REVERSE, RATE_FLOOR
 from imucald.mount.block_sums import PairSums, pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
@@ -60,8 +60,8 @@ energy.
 MIN_FORCE = 30.0
 """Smallest energy of v r or dv/dt in a piece [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
 MAX_BLOCKS = 40
-"""Number of blocks (4 min) after which a piece that is still incomplete starts again, because noise
-would add up to the needed energy.
+"""Number of blocks (4 min) after which a piece that is still incomplete starts again, because the
+noise is known only roughly.
 """
 TURNS, HARD_TURNS = 1.2, 2.0
 """Sizes of v r [m/s^2] above which the force in turns is checked: the first limit for its sign, the
@@ -171,7 +171,8 @@ class Piece(NamedTuple):
 class PairWatch:
     """Correlations and gains of two signals that must show the same motion, piece by piece.
 
-    has_zero: the first signal has an unknown zero error, so the means of a piece are subtracted.
+    noise: rms noise of the first signal, whose energy shows no motion. has_zero: the first signal
+    has an unknown zero error, so the means of a piece are subtracted.
     """
 
     def __init__(
@@ -179,10 +180,11 @@ class PairWatch:
         least: float,
         unlike: float = UNLIKE,
         unit_known: bool = True,
+        noise: float = 0.0,
         has_zero: bool = False,
     ) -> None:
         self._least, self._unlike, self._unit_known = least, unlike, unit_known
-        self._has_zero = has_zero
+        self._noise, self._has_zero = noise, has_zero
         self._pieces: deque[Piece] = deque(maxlen=REMEMBERED)
         self._begin_piece()
         self.accused = False
@@ -218,12 +220,16 @@ class PairWatch:
     @property
     def share(self) -> float:
         """Collected share (0 to 1) of the energy for the next piece; 1 once the pair has agreed."""
-        return 1.0 if self.agreed else min(self._held.xx / self._least, 1.0)
+        return 1.0 if self.agreed else min(max(self._energy(self._held), 0.0) / self._least, 1.0)
 
     @property
     def gain(self) -> float:
         """Median of the gains of the stored pieces."""
         return median([piece.slope for piece in self._pieces]) if self._pieces else 1.0
+
+    def _energy(self, sums: PairSums) -> float:
+        """Return the energy of motion in the first signal."""
+        return sums.xx - sums.ticks * self._noise**2
 
     @property
     def _held(self) -> PairSums:
@@ -243,10 +249,11 @@ class PairWatch:
         if not math.isfinite(held.xx + held.yy):
             self._sums = PairSums()
             return
-        if held.xx >= self._least:
+        is_complete = self._energy(held) >= self._least
+        if is_complete:
             self._pieces.append(Piece.of(held))
             self._judge()
-        if held.xx >= self._least or self._blocks >= MAX_BLOCKS:
+        if is_complete or self._blocks >= MAX_BLOCKS:
             self._begin_piece()
 
     def _is_odd(self, piece: Piece) -> bool:
@@ -286,8 +293,8 @@ class Contradictions:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self.yaw_rate = PairWatch(MIN_TURNING, has_zero=True)
-        self.steering = PairWatch(MIN_TURNING, unit_known=False)
+        self.yaw_rate = PairWatch(MIN_TURNING, noise=RATE_FLOOR, has_zero=True)
+        self.steering = PairWatch(MIN_TURNING, unit_known=False, noise=RATE_FLOOR, has_zero=True)
         self.turns = PairWatch(MIN_FORCE, unit_known=False)
         self.hard_turns = PairWatch(MIN_FORCE)
         self.speed = PairWatch(MIN_FORCE, OPPOSITE)

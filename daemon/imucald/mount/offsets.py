@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, solved
 from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
 
 MIN_TICKS = 8
@@ -21,6 +21,15 @@ GUESS_TICKS = 250
 """Number of driving ticks from which a gyroscope bias can be guessed without a rest."""
 MAX_TURNS = 250
 """Largest number of blocks for the guess of a gyroscope bias: half an hour."""
+ROLLING, BIAS_STD, UP_STD = 0.02, 0.02, 0.1
+"""Standard deviations for the guess of a gyroscope bias: roll and pitch rate of a vehicle [rad/s],
+bias [rad/s] (MPU-6050, 6.1: 20 deg/s at most), and direction of the mean force relative to the
+vertical [rad]. A bend of 1 m/s^2 tilts the mean force by 0.1 rad.
+"""
+TURN_ZERO = 0.03
+"""Turn rate [rad/s] below which the zero error of the vehicle's own signal may be all of the turn
+rate, so that the vehicle counts as driving straight: three deviations of the zero error.
+"""
 
 
 class Offsets:
@@ -39,7 +48,9 @@ class Offsets:
         self._moving = 0
         self._moving_rate = np.zeros(3)
         self._moving_force = np.zeros(3)
-        self._turns: deque[float] = deque(maxlen=MAX_TURNS)
+        self._turn_sums = np.diag([ROLLING / BIAS_STD, ROLLING / UP_STD]) ** 2
+        self._turned_rate = np.zeros(3)  # sum of the vehicle's turn rate times the rate
+        self._turns: deque[tuple[float, float]] = deque(maxlen=MAX_TURNS)
 
     def doubt_gyro(self) -> None:
         """Determine the bias again, because the sensor was moved or exchanged.
@@ -75,23 +86,30 @@ class Offsets:
         self._yaw_ticks = min(self._yaw_ticks + n, REST_MEMORY)
         self.yaw_rate += (mean - self.yaw_rate) * (n / self._yaw_ticks)
 
-    def guess_gyro(self, rate: Array, force: Array) -> bool:
+    def guess_gyro(self, rate: Array, force: Array, turn: Array) -> bool:
         """Guess the bias before the first rest.
 
-        About the level axes, the guess is the mean rate. About the vertical, the guess is the
-        median rate. A road vehicle does not pitch or roll continuously, and drives straight most of
-        the time. rate, force: raw values (n, 3). Returns True if the vehicle has driven enough to
-        use the guess.
+        The rate is the bias plus the turn rate of the vehicle about the vertical. Both are fitted,
+        with the direction of the mean force as the prior of the vertical. About the vertical, the
+        guess is a median, because a road vehicle drives straight most of the time. rate, force: raw
+        values (n, 3). turn: (n,) turn rate of the vehicle from its own signals, zeros if there are
+        none. Returns True if the vehicle has driven enough to use the guess.
         """
         if len(rate):
             self._moving += len(rate)
             self._moving_rate += rate.sum(axis=0)
             self._moving_force += force.sum(axis=0)
             up = self._moving_force / np.sqrt(self._moving_force @ self._moving_force)
-            self._turns.append(_middle(rate @ up))
-            mean = self._moving_rate / self._moving
+            total = float(turn.sum())
+            self._turn_sums += [[len(rate), total], [total, float(turn @ turn)]]
+            self._turned_rate += turn @ rate
+            self._turns.append((_middle(rate @ up), _middle(turn)))
+            vertical = self._turned_rate + (ROLLING / UP_STD) ** 2 * up
+            mean, _ = solved(self._turn_sums, np.array([self._moving_rate, vertical]))
+            about, turned = (_middle(x) for x in np.array(self._turns).T)
+            about -= turned**3 / (turned**2 + TURN_ZERO**2)
             if self._moving >= GUESS_TICKS or not self._is_old:
-                self.gyro_bias = mean + up * (_middle(np.array(self._turns)) - mean @ up)
+                self.gyro_bias = mean + up * (about - mean @ up)
         return self._is_old or self._moving >= GUESS_TICKS
 
 

@@ -465,10 +465,11 @@ class SignalBlockMaker:
         use = p.rest & p.ok_yaw
         if np.count_nonzero(use) and "yaw_rate" in self.seen:
             offsets.learn_yaw_rate(p.yaw_rate[use])
+        p.yaw_rate -= offsets.yaw_rate
         if offsets.gyro_ticks == 0.0:
             use = p.ok_rate & p.learn
-            if not offsets.guess_gyro(p.rate[use], p.force[use]):
+            turn = np.where(p.ok_yaw, p.yaw_rate, 0.0)
+            if not offsets.guess_gyro(p.rate[use], p.force[use], turn[use]):
                 p.ok_rate = np.zeros_like(p.ok_rate)
         p.gyro_bias = offsets.gyro_bias.copy()
         p.rate -= p.gyro_bias
-        p.yaw_rate -= offsets.yaw_rate

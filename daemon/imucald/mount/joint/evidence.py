@@ -247,6 +247,10 @@ NO_WALK: Final = np.zeros((3, 3))
 NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
 NO_ARM: Final = (0.0, 0.0, 0.0)
 NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
+LEVELLINGS = 3
+"""Number of times that the first axes are levelled. A drive that begins in a long bend would
+otherwise begin with axes that are 10 deg off.
+"""
 SIDE = 0.3
 """Smallest rms of the lateral force that follows the turn rate, as a share of the rms of the whole
 horizontal force. Lateral means across the principal axis of the force.
@@ -777,8 +781,9 @@ class Evidence:
     def _find_first_axes(self) -> bool:
         """Find the first working axes. Returns False if the evidence is not sufficient.
 
-        The up direction is the direction of mean gravity. The forward direction is found by complex
-        least squares of the horizontal force on dv/dt + i v r.
+        The up direction is the direction of mean gravity: of the mean force minus the mean of the
+        motion's part. The forward direction is found by complex least squares of the horizontal
+        force on dv/dt + i v r. Each direction needs the other one, so both are found in turn.
         """
         if len(self._blocks) < BLOCKS_A_WINDOW:
             return False
@@ -790,25 +795,29 @@ class Evidence:
         v, a = (np.concatenate(part) for part in zip(*motion, strict=True))
         if use.sum() < BLOCK_TICKS or (np.abs(v) > DRIVING_SPEED).sum() < BLOCK_TICKS:
             return False
-        level_from_sensor = levelling_rotation(force[use].mean(axis=0))
-        turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
-        ahead, left, _ = level_from_sensor @ force.T
         kernel = np.ones(10) / 10.0
 
         def smooth(x: Array) -> Array:
             return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
 
-        m = smooth(a) + 1j * smooth(v * turning)
-        level = smooth(ahead) + 1j * smooth(left)
-        level, m = (level - level[use].mean())[use], (m - m.mean())[use]
-        if not self.signals.speed:
-            return self._find_principal_axes(level, m.imag, level_from_sensor)
-        answer = np.vdot(m, level)
-        size = np.sqrt(np.vdot(m, m).real * np.vdot(level, level).real)
-        if abs(answer) < 0.4 * size:
-            return False
-        yaw = -math.atan2(answer.imag, answer.real)
-        self.start_from(rotation_from_angles(0.0, 0.0, yaw) @ level_from_sensor)
+        R, moved = None, NO_ZERO  # mean of the motion's part of the force, sensor axes
+        for _ in range(LEVELLINGS):
+            level_from_sensor = levelling_rotation(force[use].mean(axis=0) - moved)
+            turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
+            ahead, left, _ = level_from_sensor @ force.T
+            m = smooth(a) + 1j * smooth(v * turning)
+            level = smooth(ahead) + 1j * smooth(left)
+            level, varied = (level - level[use].mean())[use], (m - m[use].mean())[use]
+            if not self.signals.speed:
+                return self._find_principal_axes(level, varied.imag, level_from_sensor)
+            answer = np.vdot(varied, level)
+            size = np.sqrt(np.vdot(varied, varied).real * np.vdot(level, level).real)
+            if abs(answer) < 0.4 * size:
+                return False
+            yaw = -math.atan2(answer.imag, answer.real)
+            R = rotation_from_angles(0.0, 0.0, yaw) @ level_from_sensor
+            moved = R.T @ np.array([a[use].mean(), (v * turning)[use].mean(), 0.0])
+        self.start_from(R)
         return True
 
     def _find_principal_axes(self, level: Complex, turn: Array, R: Matrix3) -> bool:
