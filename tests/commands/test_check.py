@@ -738,7 +738,7 @@ def test_a_stated_axis_is_held_against_gravity_and_the_change_of_speed(frames: F
     assert f"its {forward['away']} points back" in back
     assert "sign: -1" not in back
     mirrored = findings(stating(up=up["away"], forward=forward["away"]), "error")["accelerometer"]
-    assert "turn the signs of all axes ('sign: -1'" in mirrored
+    assert "invert the signs of all axes ('sign: -1'" in mirrored
     assert "points back" not in mirrored
 
 

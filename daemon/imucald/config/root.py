@@ -119,7 +119,11 @@ class LoadedConfig:
     def with_model(self, path: Path) -> LoadedConfig:
         """Return the same configuration with another path of the model file."""
         if self.config.model is None:
-            raise self.error(("model",), "the file names no model, so its place cannot be changed")
+            raise self.error(
+                ("model",),
+                "the configuration names no model file, so the path of the model file cannot be "
+                "changed",
+            )
         model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
         config = msgspec.structs.replace(self.config, model=model)
         return LoadedConfig(config, self.path, self._marks)

@@ -79,7 +79,7 @@ WITHOUT_GRAVITY = (
     "of the sensor itself"
 )
 UP_REMEDY = (
-    "correct that line, or turn the signs of all axes ('sign: -1', or remove it if it is set)"
+    "correct that line, or invert the signs of all axes ('sign: -1', or remove it if it is set)"
 )
 FORWARD_REMEDY = "correct that line"
 

@@ -128,7 +128,7 @@ class Sensors:
             accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
         elif not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = (
-                "the three signals have a size of 1 g together, but no unit "
+                "the three signals form a vector of 1 g, but no unit "
                 "is stated and no motion confirms them"
             )
         self._found += [gyro, self._magnetometer(), speed]
@@ -281,7 +281,7 @@ def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
 
 
 def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
-    text = f"their size together is {best.size:.2f} m/s2 +- {100 * best.spread:.1f} %, which is 1 g"
+    text = f"their vector has {best.size:.2f} m/s2 +- {100 * best.spread:.1f} %, which is 1 g"
     if not best.unit.is_stated:
         stated = best.members[0].unit
         text += f" in {best.unit.name} (the database says {stated or 'no unit'})"

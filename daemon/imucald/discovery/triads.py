@@ -167,7 +167,7 @@ def of_another_size(candidates: Sequence[SeenSignal]) -> str:
             continue
         names = ", ".join((ordered[0].path, *(m.signal.name for m in ordered[1:])))
         return (
-            f"{names} look like the sensor, but their size together is {middle:.3g} m/s^2, "
+            f"{names} look like the sensor, but their vector has {middle:.3g} m/s^2, "
             f"and gravity is {GRAVITY:.2f}: the scale in the database seems to be "
             f"{middle / GRAVITY:.3g} times the right one"
         )
