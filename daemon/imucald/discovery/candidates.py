@@ -30,7 +30,7 @@ from imucald.inputs.units import is_unit
 from imucald.motion.ticks import TICK_RATE
 
 FEW_LEVELS = 16
-"""Largest number of different values of a signal that may be a switch or a lever."""
+"""Largest number of different values of a signal that may be a switch or a gear lever."""
 MIN_FRAMES = 20
 """Smallest number of frames of a message that is used."""
 SNA_BITS = 6

@@ -18,7 +18,7 @@ RAW_COUNTS = (
 
 
 def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
-    """Return the sources of a triad by axis."""
+    """Return the sources of a triad (three signals x, y, z) by axis."""
     return {
         axis: source_of(member, unit, sign)
         for axis, member in zip("xyz", triad.members, strict=True)
@@ -28,8 +28,8 @@ def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
 def gyroscope_choice(
     triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
 ) -> tuple[Choice, Order, Triad]:
-    """Return three results: the choice, the order and signs to apply, and the triad in its unit and
-    order."""
+    """Return three results: the choice, the order and signs to apply, and the triad (three signals
+    x, y, z) in its unit and order."""
     unit, doubt = _unit(triad, fit)
     places, signs = fit.order
     x, y, z = (triad.members[i] for i in places)
@@ -77,7 +77,9 @@ def _contradiction(fit: GyroFit) -> str:
 
 
 def _open_question(triad: Triad, fit: GyroFit) -> str:
-    """Return the question that the likelihoods leave open; empty if there is no such question."""
+    """Return a text about what the likelihoods do not decide (axes or signs); empty if they decide
+    everything.
+    """
     orders, signs = right_handed_orders(), fit.order[1]
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"

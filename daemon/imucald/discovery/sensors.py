@@ -49,8 +49,8 @@ from imucald.discovery.triads import (
 from imucald.discovery.wheels import wheel_sets
 
 MAX_TRIADS = 6
-"""Largest number of triads that are compared with every speed, if no unit shows which triad is the
-accelerometer."""
+"""Largest number of triads (three signals x, y, z) that are compared with every speed, if no unit
+shows which triad is the accelerometer."""
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
     "the accelerometer is in raw counts, since the database states no scale; 1 g is "
@@ -151,7 +151,9 @@ class Sensors:
         return max(showing, key=fit)
 
     def _speed_for(self, triad: Triad) -> float:
-        """Return the quality of the best fit between a speed and a triad, and store all fits."""
+        """Return the quality of the best fit between a speed and a triad (three signals x, y, z),
+        and store all fits.
+        """
         up = direction_up(triad)
         members = {m.path for m in triad.members}
         fits = [

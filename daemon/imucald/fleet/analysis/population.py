@@ -61,8 +61,8 @@ class Population:
 
 
 def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Population:
-    """Find the mounts of types, bad batches and outliers. columns: for each column of groups, the
-    group of each vehicle."""
+    """Find the mounts of the vehicle types, bad batches, and vehicles that are outliers. columns:
+    for each column of groups, the group of each vehicle."""
     codes = {name: group_codes(values) for name, values in columns.items()}
     found: list[GroupEffect] = []
     offset = np.zeros((len(units), 3))
