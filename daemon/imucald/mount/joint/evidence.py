@@ -158,8 +158,9 @@ TURN_FITS: Final = Fits(
     keep=1,
 )
 ROLLS, PITCHES = 0.0075, 0.004
-"""Roll angle per v r, and pitch angle per dv/dt [rad/(m/s^2)], for a vehicle without a gyroscope.
-These values are 4 to 6 deg/g for roll and 2 to 3 deg/g for pitch, from the springs (assumption).
+"""Roll angle per v r (speed times yaw rate), and pitch angle per dv/dt [rad/(m/s^2)], for a vehicle
+without a gyroscope. These values are 4 to 6 deg/g for roll and 2 to 3 deg/g for pitch, from the
+springs (assumption).
 """
 ROLLING_SPREAD: Final = np.array([0.7, 1.5, 1.5])
 """Prior standard deviation of the response to dp/dt for each axis of the force, if the roll rate p
@@ -212,8 +213,8 @@ ANSWERS: Final = {
 }
 """Name of the evidence for each response to motion, by axis and motion.
 
-Motion 0 is dv/dt, motion 1 is v r, and motion 2 is the turn rate r. The force responds to motions 0
-and 1. The measured roll rate and pitch rate respond to motion 2.
+Motion 0 is dv/dt, motion 1 is v r (speed times yaw rate), and motion 2 is the turn rate r. The
+force responds to motions 0 and 1. The measured roll rate and pitch rate respond to motion 2.
 """
 Answered = tuple[tuple[tuple[int, tuple[int, int]], ...], ...]
 WITH_SPEED: Final[Answered] = (
@@ -249,8 +250,9 @@ SIDE = 0.3
 horizontal force. Lateral means across the principal axis of the force.
 """
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
-"""Middles of the ticks of a block [ticks]. The speed is known at these times if every tick has a
-mean of the speed.
+"""Middles of the ticks of a block [ticks of 0.1 s].
+
+The speed is known at these times if every tick has a mean of the speed.
 """
 
 
@@ -364,7 +366,7 @@ class Evidence:
         self._late, self._lever_arm = late, np.array(lever_arm)
         self.delay, self.delay_std = late.mean, math.inf
         self.gains = (1.0, 1.0)
-        """Gains of the force on dv/dt and v r."""
+        """Gains of the force on dv/dt and v r (speed times yaw rate)."""
         self.variances: Mapping[str, float] = {}
         """Variance of the angle from each kind of evidence alone [rad^2]."""
         self._bands = np.ones(wd.BANDS, dtype=bool)
@@ -470,7 +472,7 @@ class Evidence:
         self._breaks.add(len(self._blocks))
 
     def add_block(self, block: Block) -> None:
-        """Take the next block."""
+        """Process the next block."""
         self._blocks.append(block)
         if len(self._blocks) > MOST_BLOCKS:
             self._forget(len(self._blocks) - KEPT_BLOCKS)
@@ -681,7 +683,7 @@ class Evidence:
         """Return a signal (N,) of joined blocks after correction of its delay.
 
         of: function that returns the signal of a block. delay: delay of the signal [s]. later:
-        further shift towards later samples [ticks].
+        further shift towards later samples [ticks of 0.1 s].
         """
         before = first - 1 if first not in self._breaks else first
         after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
@@ -776,7 +778,7 @@ class Evidence:
         """Find the first working axes. Returns False if the evidence is not sufficient.
 
         The up direction is the direction of mean gravity. The forward direction is found by complex
-        least squares of the horizontal force on dv/dt + i v r.
+        least squares of the horizontal force on dv/dt + i v r (speed times yaw rate).
         """
         if len(self._blocks) < BLOCKS_A_WINDOW:
             return False
@@ -928,7 +930,7 @@ class Evidence:
 
     def _answer_row(self, i: int, j: int) -> Array:
         """Return the row (UNKNOWNS,) for the response of the force's axis i to dv/dt (j = 0) or v r
-        (j = 1).
+        (speed times yaw rate) (j = 1).
         """
         row = entry(i, j)
         if i < 2:
@@ -1136,7 +1138,7 @@ def force_fits(signals: OtherSignals) -> Fits:
 
 def _leaning(lateral: Array, accel: Array) -> Array:
     """Return the roll rate and the pitch rate (N, 2) [rad/s] of a body that leans in proportion to
-    v r and dv/dt. lateral: (N,) v r [m/s^2]. accel: (N,) dv/dt [m/s^2].
+    v r (speed times yaw rate) and dv/dt. lateral: (N,) v r [m/s^2]. accel: (N,) dv/dt [m/s^2].
     """
     return np.column_stack(
         [ROLLS * np.gradient(lateral, TICK_S), -PITCHES * np.gradient(accel, TICK_S)]

@@ -1,4 +1,5 @@
-"""Weighted least squares on the windows of a drive: response of the force to dv/dt and v r.
+"""Weighted least squares on the windows of a drive: response of the force to dv/dt and v r (speed
+times yaw rate).
 
 The noise of each frequency band is estimated for the drive. A noise factor is estimated for each
 window. Windows with much noise get less weight, and windows with little noise get more weight. The

@@ -97,7 +97,7 @@ class FitSums:
         return self._trust[:, self._old :]
 
     def add_windows(self, products: Array) -> None:
-        """Take the products (n, BANDS, columns, columns) of n windows."""
+        """Add the products (n, BANDS, columns, columns) of n windows."""
         new = np.ones((len(self._store), len(products)))
         at, stop = self._counts.shape[1], self._counts.shape[1] + len(products)
         if stop > self._store.shape[1]:  # room for more than these: copying takes time
@@ -213,8 +213,8 @@ class FitSums:
 
 
 def _grown_before(G: Array, C: Array, off: Array, began: NDArray[np.int_]) -> Array:
-    """Return the factor (F, B, keep) by which the variance between road segments exceeds its
-    expected value.
+    """Return, for each fit, time and coefficient (F, B, keep), the factor by which the variance
+    between road segments exceeds its expected value.
 
     The factor is computed from the road segments before each possible time of a change. G: (F, S,
     columns, columns) road segments. C: (F, keep, p) rows of the covariance of the coefficients.
@@ -264,7 +264,7 @@ class WindowSums:
         self._shared = np.zeros((0, 2, 4))
 
     def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
-        """Take the spectra (n, bins, columns) of n windows. blocks: (n,) number of the last block
+        """Add the spectra (n, bins, columns) of n windows. blocks: (n,) number of the last block
         of each window.
         """
         products = wd.products(spectra)
@@ -317,8 +317,8 @@ class WindowSums:
 
     @property
     def leak(self) -> Array:
-        """Response (2, 2) of the computed gravity along x and y to dv/dt and v r, for a gyroscope
-        that is rotated about z by one radian.
+        """Response (2, 2) of the computed gravity along x and y to dv/dt and v r (speed times yaw
+        rate), for a gyroscope that is rotated about z by one radian.
         """
         total = self._shared.sum(axis=0)
         return np.asarray(np.linalg.lstsq(total[:, :2], total[:, 2:], rcond=None)[0].T)
