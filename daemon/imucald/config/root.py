@@ -170,7 +170,11 @@ def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
 def _checked(data: Any, marks: Marks, path: Path | None) -> LoadedConfig:
     name = _name(path)
     if not isinstance(data, dict):
-        raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
+        empty = "the file is empty; " if data is None else ""
+        raise ConfigError(
+            f"{name}:1: {empty}a configuration is a mapping with 'database' and 'signals' "
+            "('imucald init' proposes one)"
+        )
     config = typed(data, Config, Document(name, marks, _WHOLE), full=spelled_out(data))
     loaded = LoadedConfig(config, path, marks)
     mistakes = [str(loaded.error(place, text)) for place, text in impossible(config)]

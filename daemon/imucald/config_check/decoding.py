@@ -36,7 +36,10 @@ than 3 s, such as most starts and brakings. In simulated drives with a speed at 
 calibration took twice as long."""
 
 _NO_SPEED = "missing: yaw is found later and is less certain; "
-_NO_GYRO = "turns then do not help to find pitch and roll, and no corrected angular rate is sent"
+_NO_GYRO = (
+    "without a gyroscope, turns do not help to find pitch and roll, and no corrected angular rate "
+    "is sent"
+)
 _NO_TURNS = "yaw rate and steering angle are missing too"
 _STEADY = "straight driving is recognised by steady angles only"
 _NEVER = (

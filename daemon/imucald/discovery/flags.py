@@ -150,7 +150,7 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
     ]
     if levers:
         yield (
-            f"reverse: not seen in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
+            f"reverse: not used in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
             f"shows the reverse gear, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' "
             "under 'signals'."
         )

@@ -62,7 +62,7 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
             counts = in_counts("angular_rate", low, high)
             return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
         return (
-            (unit, "the size of its values does not fit any unit")
+            (unit, "its values are too large or too small for every unit")
             if fitting is None
             else (fitting, "")
         )

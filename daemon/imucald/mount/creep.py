@@ -117,9 +117,9 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
     """Fit random walks and steady creep to the residuals of the series from their constants; None:
     too little data.
 
-    The stated variance of a series shows by which factor its information is too large. chance:
-    prior probability that the mount creeps, before any shift was found. shifts: number of shifts
-    found.
+    The information of a series is too large by the factor that follows from its stated variance.
+    chance: prior probability that the mount creeps, before any shift was found. shifts: number of
+    shifts found.
     """
     n = max((len(one.left) for one in series), default=0)
     if n < FEWEST:

@@ -181,8 +181,9 @@ The values are medians of the simulated drives with the seeds 970000 to 970011. 
 used to judge results.
 """
 UNKNOWN: Final = range(len(wd.NAMES), len(wd.NAMES) + len(UNKNOWN_NAMES))
-"""Indices of the columns of `unknown_speed`. In a drive without a speed signal, these columns come
-after the columns of `windows`.
+"""Indices of the columns that `unknown_speed` computes.
+
+In a drive without a speed signal, these columns come after the columns of `windows`.
 """
 UNKNOWN_NOISE: Final = np.array([0.15, 0.5, 0.4, 0.35, 0.2, 0.1, 0.05, 0.05])
 """Expected noise of the lateral force in each frequency band [(m/s^2)^2], for a drive without a

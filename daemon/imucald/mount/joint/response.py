@@ -114,7 +114,7 @@ def _values(bands: NDArray[np.bool_]) -> float:
 
 
 def left_of(rows: Array, power: Array, packing: Packing) -> Array:
-    """Return the expected power (F, n, BANDS) of the noise of fits in windows.
+    """Return the expected noise power of each fit in each window and frequency band (F, n, BANDS).
 
     rows: (F, n, BANDS, size) packed windows. power: (F, size) factors of each fit. The power is
     the sum of two parts: the power of the residual, and the expected effect of the errors of the
