@@ -12,8 +12,7 @@ from imucald.inputs.units import is_unit
 
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
-    "the signal is in raw counts, since the database states no scale; the recording "
-    "shows 'unit: {}'"
+    "the signal is in raw counts, since the database states no scale; the recording fits 'unit: {}'"
 )
 
 
@@ -60,7 +59,8 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
         fitting = choose_unit(first.unit, "angular_rate", low, high)
         if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
             counts = in_counts("angular_rate", low, high)
-            return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
+            others = f" (and {', '.join(counts.others)})" if counts.others else ""
+            return counts, RAW_COUNTS.format(counts.name) + others
         return (
             (unit, "its values are too large or too small for every unit")
             if fitting is None
@@ -105,6 +105,8 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
     if fit.order[1][0] < 0:
         words.append("its signs are opposite to the signs of the accelerometer axes")
     words.append(
-        "axes as named" if triad.names_axes else "each axis was found from turns and gravity"
+        "the axes follow from the names"
+        if triad.names_axes
+        else "each axis was found from turns and gravity"
     )
     return "; ".join(words)
