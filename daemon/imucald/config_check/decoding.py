@@ -41,7 +41,7 @@ _NO_GYRO = (
     "is sent"
 )
 _NO_TURNS = "yaw rate and steering angle are missing too"
-_STEADY = "straight driving is recognised by steady angles only"
+_STEADY = "straight driving is recognised only where successive target angles agree"
 _NEVER = (
     "no signal shows turns, so the signs cannot be checked and the mount never becomes "
     "usable. Configure one of the three signals, or 'estimator: published', or state the "

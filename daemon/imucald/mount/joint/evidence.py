@@ -605,7 +605,7 @@ class Evidence:
         return force, rate, speed, accel, motion
 
     def _take(self, first: int, stop: int) -> None:
-        """Compute the windows that end with the joined blocks from `first` to before `stop`."""
+        """Compute the windows whose last blocks are the blocks `first` to `stop` - 1."""
         assert self._axes is not None
         use = np.concatenate([b.use for b in self._blocks[first:stop]])
         if self.signals.speed:
@@ -1030,7 +1030,7 @@ class Evidence:
         """Return sums (S, 4) for each road segment: the two components of the horizontal force
         divided by g, the weight, and the distance [m].
 
-        to_last: as in `response.segments_of`.
+        to_last: the last segment ends with the last window.
         """
         ends = self._sums.ends(to_last)
         starts = np.concatenate([[0], ends[:-1] + 1])

@@ -148,7 +148,8 @@ class FitSums:
         """Return the information (F, S, columns, columns) of each road segment.
 
         Weights and noise are results of the last fit. Windows after the last fit are included too.
-        to_last: as in `segments_of`. is_weighted: False: each window has the same weight.
+        to_last: the last segment ends with the last window. is_weighted: False: each window has the
+        same weight.
         """
         last = self._last
         assert last is not None
@@ -298,7 +299,9 @@ class WindowSums:
         return np.asarray(first - (wd.WINDOW // wd.BLOCK - 1))
 
     def ends(self, to_last: bool = False) -> NDArray[np.int_]:
-        """Return the last block (S,) of each road segment. to_last: as in `segments_of`."""
+        """Return the last block (S,) of each road segment. to_last: the last segment ends with the
+        last window.
+        """
         length, n = SEGMENTS[0], len(self._blocks)
         first = (n - 1) % length if to_last else length - 1
         return self._blocks[np.minimum(np.arange(first, n + first, length), n - 1)]
