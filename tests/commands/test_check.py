@@ -442,7 +442,9 @@ def test_what_is_missing_is_reported_with_its_cost(frames: Frames) -> None:
     report = checked(frames, change)
     assert report["usable"]
     assert "first motion" in findings(report, "warning")["speed"]
-    assert "successive target angles" in findings(report, "note")["gyroscope"], "method A is used then"
+    assert "successive target angles" in findings(report, "note")["gyroscope"], (
+        "method A is used then"
+    )
 
     def with_speed(text: str) -> str:
         return change(text) + "  speed: ESC_Speed.VehicleSpeed\n"

@@ -283,7 +283,7 @@ def signed_elsewhere(
     """Yield magnitudes without a sign bit in their message, each with the best sign bit of another
     message.
 
-    The values are the values of a configuration with this `sign_signal`.
+    The values are those that a configuration with this bit as `sign_signal` would give.
     """
     signed = {c.path for c in found if c.sign_signal is not None}
     own = [c for c in found if c.message.name in messages]

@@ -76,7 +76,9 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         ),
         *_xyz("", "weight of the vehicle's own data; 1: not shrunk", "weight_{}"),
         *_xyz(
-            "deg", "mount of the first segment relative to the type without bad batches", "d_{}_deg"
+            "deg",
+            "mount of the vehicle's first segment relative to its type, bad batches excluded",
+            "d_{}_deg",
         ),
         *_TEST,
         Column("outlier", "flag", "", "true if the vehicle differs clearly from its type"),
@@ -153,7 +155,9 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
             vehicle="name of the vehicle", vehicle_type="as in drives", sensor_batch="as in drives"
         ),
         *_xyz(
-            "deg", "mount of the first segment relative to the type without bad batches", "d_{}_deg"
+            "deg",
+            "mount of the vehicle's first segment relative to its type, bad batches excluded",
+            "d_{}_deg",
         ),
         *floats("deg", "angle of this turn", "size_deg"),
         *_TEST,

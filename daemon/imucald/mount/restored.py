@@ -146,7 +146,7 @@ class Contradicted(Struct, frozen=True):
 
 
 class Phase(enum.StrEnum):
-    """The mount in use, and the reason."""
+    """Which mount is in use: the stored mount, or the new estimate, and why."""
 
     RESTORED = "restored"  # the stored mount; no evidence against or for it
     CONFIRMED = "confirmed"  # the stored mount; new evidence agrees

@@ -100,7 +100,9 @@ def _rest(c: Correction) -> NDArray[np.float64]:
 
 
 def _with_rest(turned: Correction, rest: NDArray[np.float64]) -> Correction:
-    """Return the correction of a rotation with the additional part that `_rest` returns."""
+    """Return a correction: a rotation together with the additional matrices and offsets that
+    `_rest` returns as angles.
+    """
     R = np.array(turned.rotation)
     return Correction.with_matrices(
         turned.matrix(),

@@ -158,7 +158,7 @@ def respond(
     noise: Array | None = None,
     trust: Array | None = None,
 ) -> Responses:
-    """Fit column 0 on the other columns, in F fits at once.
+    """Fit column 0 as a linear combination of the other columns, in F fits at once.
 
     rows: (F, n, BANDS, size) packed products. The first `old` rows are road segments, and the other
     rows are windows. usual: (F, BANDS) expected noise. spread: (F, p) prior deviations of the

@@ -218,7 +218,8 @@ def _grown_before(G: Array, C: Array, off: Array, began: NDArray[np.int_]) -> Ar
     between road segments exceeds its expected value.
 
     The factor is computed from the road segments before each possible time of a change. G: (F, S,
-    columns, columns) road segments. C: (F, keep, p) rows of the covariance of the coefficients.
+    columns, columns) information of each road segment. C: (F, keep, p) rows of the covariance of
+    the coefficients.
     off: (F, B, p) coefficients before each time. began: (B,) number of segments before each time.
     """
     seen = C[:, None] @ G[:, :, 1:]

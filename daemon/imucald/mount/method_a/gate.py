@@ -185,8 +185,8 @@ class StraightGate:
         """Recogniser 3: return True if the smoothed angles of the last window agree. The offset is
         removed first.
 
-        Motion at constant speed has no angle, but counts as straight, so that the offset can be
-        estimated. Such motion is too weak to give a target angle.
+        Motion at constant speed shows no target angle, but counts as straight, so that the offset
+        can be estimated. Such motion is too weak to give a target angle.
         """
         n = self._smoothing
         if len(self._recent) <= n:
