@@ -48,8 +48,9 @@ LATE = 0.5
 segment ago, and is reported until the next segment ends.
 """
 PRIOR_SEGMENTS = 6.0
-"""Weight, in segments, of the prior for the spread between segments. The prior is the variance that
-the source itself states."""
+"""Weight of the prior for the spread between segments: the prior counts as this number of segments.
+
+The prior is the variance that the source itself states."""
 HIDDEN = 0.4
 """Share of a drift that the segments may not show.
 
