@@ -267,7 +267,7 @@ def test_the_limits_of_usable_and_fine_are_those_of_the_default_estimator() -> N
     for words, yaw_std, tilt_std in (
         ("cross-talk `XY`, `YX` {yaw} deg, level zero {zero} m/s²",
          limits.usable_yaw, limits.usable_tilt),
-        ("the same with {yaw} deg, {zero} m/s²", limits.fine_yaw, limits.fine_tilt),
+        ("deviations within {yaw} deg and {zero} m/s²", limits.fine_yaw, limits.fine_tilt),
     ):  # fmt: skip
         yaw, zero = round(math.degrees(yaw_std), 6), round(tilt_std * GRAVITY, 6)
         assert words.format(yaw=yaw, zero=zero) in text

@@ -19,6 +19,7 @@ duckdb = pytest.importorskip("duckdb")
 pandas = pytest.importorskip("pandas")
 polars = pytest.importorskip("polars")
 parquet = pytest.importorskip("pyarrow.parquet")
+arrow_csv = pytest.importorskip("pyarrow.csv")
 mcap_reader = pytest.importorskip("mcap.reader")
 ros2_decoder = pytest.importorskip("mcap_ros2.decoder")
 
@@ -50,6 +51,24 @@ def test_what_is_written_comes_back_to_the_last_bit(folder, ending):
     assert np.array_equal(again.mount.covariance_deg2, drive().mount.covariance_deg2)
     assert again.mount.quaternion_wxyz == drive().mount.quaternion_wxyz
     assert (again.logs, again.start, again.end) == (drive().logs, drive().start, drive().end)
+
+
+def test_times_in_csv_need_no_time_zone_database(tmp_path, monkeypatch):
+    """A container has none, and Arrow then refuses to write a time with a time zone."""
+    schemas = []
+
+    def opened(path, schema):
+        schemas.append(schema)
+        return writer(path, schema)
+
+    writer = arrow_csv.CSVWriter
+    monkeypatch.setattr(arrow_csv, "CSVWriter", opened)
+    (file,) = [f for f in drive().write(tmp_path / "a.csv", "accel") if f.suffix == ".csv"]
+    assert [str(field.type) for field in schemas[0]][:2] == ["double", "string"]
+    head, first = file.read_text().splitlines()[:2]
+    assert head.split(",")[1] == '"time"'
+    assert first.split(",")[1].startswith('"2020-09-13 12:26:40')
+    assert first.split(",")[1].endswith('Z"')
 
 
 def test_pandas_reads_parquet_with_units(folder):

@@ -43,6 +43,8 @@ def test_a_message_that_cannot_be_read_costs_itself(bad, name, words):
         database.message(name)
     assert words in str(caught.value)
     assert [words in line for line in database.left_out] == [True]
+    with pytest.raises(DatabaseError, match=r"^no message 'OTHER' in x\.dbc( |$)"):
+        database.message("OTHER")
 
 
 def test_all_messages_with_such_an_identifier_are_named_at_once():

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from imucald.can.logs import candump_line, candump_logs, text_blocks
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
+from imucald.core import compiled
 from imucald.core.errors import LogError
 from log_text import Frame, frames_of, text_of
 
@@ -306,6 +307,7 @@ def test_many_channels_and_forms_are_read(tmp_path: Path) -> None:
     assert [f.t for f in frames[:600]] == [float(line[1:].split(")")[0]) for line in lines]
 
 
+@pytest.mark.skipif(compiled.kernels is None, reason=f"kernels: {compiled.state}")
 @pytest.mark.parametrize("tail", ["", " R", "\r"])
 def test_lines_of_common_forms_are_not_read_one_by_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: str

@@ -442,7 +442,9 @@ def test_what_is_missing_is_reported_with_its_cost(frames: Frames) -> None:
     report = checked(frames, change)
     assert report["usable"]
     assert "first motion" in findings(report, "warning")["speed"]
-    assert "steady angles" in findings(report, "note")["gyroscope"], "method A is used then"
+    assert "successive target angles" in findings(report, "note")["gyroscope"], (
+        "method A is used then"
+    )
 
     def with_speed(text: str) -> str:
         return change(text) + "  speed: ESC_Speed.VehicleSpeed\n"
@@ -738,7 +740,7 @@ def test_a_stated_axis_is_held_against_gravity_and_the_change_of_speed(frames: F
     assert f"its {forward['away']} points back" in back
     assert "sign: -1" not in back
     mirrored = findings(stating(up=up["away"], forward=forward["away"]), "error")["accelerometer"]
-    assert "turn the signs of all axes ('sign: -1'" in mirrored
+    assert "invert the signs of all axes ('sign: -1'" in mirrored
     assert "points back" not in mirrored
 
 

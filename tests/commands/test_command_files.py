@@ -15,6 +15,7 @@ import pytest
 from imucald import cli
 from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can
+from imucald.core import compiled
 from paths import ROOT
 
 START = str(ROOT / "config" / "imucald.yaml")
@@ -45,7 +46,9 @@ def log(simulated: bytes, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def run_main(capsys: pytest.CaptureFixture[str]):
+def run_main(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiled, "slow_words", str)  # a machine without a C compiler says so
+
     def run_main(*arguments: object) -> tuple[int, str]:
         status = cli.main([str(a) for a in arguments])
         return status, capsys.readouterr().err
@@ -259,7 +262,7 @@ def test_ctrl_c_says_that_the_output_is_cut(log, tmp_path):
     process.send_signal(signal.SIGINT)
     text = process.communicate(timeout=30.0)[1]
     assert process.returncode == 130
-    assert text == f"imucald: {out} is not complete\nimucald: interrupted\n"
+    assert text.endswith(f"imucald: {out} is not complete\nimucald: interrupted\n")
 
 
 def test_zero_seconds_are_none_not_for_ever(run_main):

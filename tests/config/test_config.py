@@ -71,7 +71,8 @@ def test_shorthands_and_long_forms_are_the_same():
             "dir/car.yaml:1: database: is missing; it is required",
         ),
         ("database: a.dbc\nsignals: {}\n", "signals.accelerometer: is missing"),
-        ("", "dir/car.yaml:1:"),
+        ("", "dir/car.yaml:1: the file is empty; a configuration is a mapping"),
+        ("# nothing yet\n", "dir/car.yaml:1: the file is empty"),
         ("[1, 2]\n", "dir/car.yaml:1: a configuration is a mapping"),
         ("a: [1\n", "not valid YAML"),
         (

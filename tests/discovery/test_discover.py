@@ -390,6 +390,7 @@ def test_raw_counts_without_a_scale_are_found_with_the_usual_one_and_are_unsure(
     size = math.degrees(find_unit(gyro.sources["x"].unit, "angular_rate").factor)
     assert size == pytest.approx(0.01, rel=0.35)
     assert "raw counts" in gyro.doubt
+    assert f"the recording fits 'unit: {gyro.sources['x'].unit}'" in gyro.doubt
 
 
 def copied(frames: FrameColumns, ids: dict[int, int]) -> FrameColumns:

@@ -51,6 +51,17 @@ def test_each_quantity_that_is_not_found_has_a_line_with_its_reason(recorded):
     assert "  # yaw_rate: not found: ESC_Dynamics.YawRate never changes" in lines
 
 
+@pytest.mark.parametrize(("unit", "reason"), [
+    ("degC", "may be the temperature of another part"),
+    ("V", "has no unit of temperature (its unit is 'V')"),
+])  # fmt: skip
+def test_a_temperature_is_not_said_to_lack_motion(recorded, unit, reason):
+    lines = EXAMPLE.replace('[-40|87] "degC"', f'[-40|87] "{unit}"').splitlines(True)
+    two_axes = "".join(x for x in lines if "SG_ AccelZ" not in x)
+    said = proposed(two_axes, recorded).missing["temperature"]
+    assert said.endswith(f"SensorTemperature {reason}")
+
+
 def test_a_signed_signal_that_is_unsigned_in_the_database_is_named_with_the_remedy(recorded):
     text = re.sub(r"(SG_ (?:YawRate|Rate.) .*@[01])-", r"\1+", EXAMPLE)
     assert text != EXAMPLE

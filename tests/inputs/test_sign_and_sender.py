@@ -193,7 +193,7 @@ def test_a_configuration_whose_signs_are_all_elsewhere_has_nothing_to_write(tmp_
     loaded = load(APART.replace(", sign_signal: OTHER.Bit, sign: -1", ""), tmp_path, SIGNS)
     assert BusEncoder(loaded).left_out == ["ACC"]
     text = APART[: APART.index("  yaw_rate")]
-    with pytest.raises(ConfigError, match="nothing to write"):
+    with pytest.raises(ConfigError, match="no frame can be written"):
         BusEncoder(load(text, tmp_path, SIGNS))
 
 

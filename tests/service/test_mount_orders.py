@@ -251,6 +251,7 @@ def test_a_configured_mount_that_is_too_vague_is_refused_with_its_line(bench, ca
     assert cli.main(run) == 78
     text = capsys.readouterr().err
     assert "calibration.mount.std_deg: 9 deg about x is too uncertain" in text
+    assert "below 2.62 deg (±5.24 deg at 95 %)" in text
     assert "shuttle.yaml:" in text
 
 

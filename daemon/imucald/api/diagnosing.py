@@ -119,9 +119,9 @@ def diagnose(
 
     The result is the same as the result of `imucald diagnose`.
 
-    config: a configuration, or the name of its file. logs: one log per drive; the sensor must be
-    mounted as in the vehicle. model: the model file to test. Without a model file, a default car is
-    tested, with the values of the configuration and the mount that is found in the drives.
+    config: a configuration, or the name of its file. logs: one log per drive; the sensor must have
+    the same mount in all drives. model: the model file to test. Without a model file, a default car
+    is tested, with the values of the configuration and the mount that is found in the drives.
     time_limit_s: limit of processor time [s], after which the findings so far are reported; the
     default is 40 s per hour of driving, at least 10 s. progress: called with the share done and the
     current step. reading: called with the bytes read. strict: the first bad line raises LogError.

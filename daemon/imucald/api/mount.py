@@ -25,8 +25,8 @@ class MountResult:
     matrix: (3, 3), R_vehicle_from_sensor: `matrix @ v_sensor` is the vector in vehicle axes.
     covariance_deg2: (3, 3) [deg^2], covariance of the error e. The error e is the rotation vector
     about the vehicle's axes from the estimate to the truth: R_true = exp(skew(e)) @ matrix.
-    Elements are NaN if there is no estimate yet. Each of the three angles is estimated from
-    separate data, so the matrix is diagonal, except after `inverse`.
+    Elements are NaN if there is no estimate yet. The unknown lean of the road correlates the errors
+    about x and z.
     """
 
     matrix: Array

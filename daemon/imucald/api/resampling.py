@@ -20,7 +20,10 @@ HOLE_PERIODS = 2.5
 """Smallest time between two samples that counts as a hole, in usual periods. The value corresponds
 to two lost samples minus some jitter."""
 MAX_ROWS = 50_000_000
-"""Largest number of rows. A request for more rows shows that the stated rate is a mistake."""
+"""Largest number of rows of a resampled table.
+
+A request for more rows shows that the stated rate is a mistake.
+"""
 SKIPPED = ("t_s", "time", "quality")
 
 

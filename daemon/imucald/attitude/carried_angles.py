@@ -1,4 +1,4 @@
-"""Roll and pitch from both corrected triads (method B, claim 1, last step).
+"""Roll and pitch from the corrected accelerometer and gyroscope (method B, claim 1, last step).
 
 The vertical is integrated with the corrected rate from sample to sample. The integrated vertical is
 corrected with a time constant towards the vertical of the corrected acceleration (claims 2 and 3:
@@ -41,8 +41,9 @@ class CarriedAngles:
         self._age = 0.0
 
     def turn(self, t: float, rate: Vector) -> None:
-        """Take a corrected rate [rad/s] at t [s]. The body is rotated by the mean of two successive
-        rates.
+        """Process a corrected rate [rad/s] at t [s].
+
+        The body is rotated by the mean of two successive rates.
         """
         dt, last = t - self._t, self._rate
         self._t, self._rate = t, rate
@@ -56,7 +57,7 @@ class CarriedAngles:
         self._up = times(rows_from_quaternion(turned), self._up)
 
     def draw(self, t: float, pitch: float, roll: float) -> None:
-        """Take pitch and roll from the corrected acceleration at t [s]."""
+        """Process pitch and roll from the corrected acceleration at t [s]."""
         seen = vertical(pitch, roll)
         dt, self._t_force = t - self._t_force, t
         if self._up is None:

@@ -24,7 +24,7 @@ NAN = math.nan
 
 
 class CompensatedAttitude:
-    """Takes samples in vehicle axes (ISO 8855), SI units, with stream time."""
+    """Processes samples in vehicle axes (ISO 8855), SI units, with stream time."""
 
     def __init__(self, settings: AttitudeSettings | None = None) -> None:
         self.settings = settings or AttitudeSettings()
@@ -69,13 +69,13 @@ class CompensatedAttitude:
         return CheckResult(vehicle_from_rfu(*self.motion_compensation.zero_error), (0.0, 0.0, 0.0))
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take the result of an earlier check, in vehicle axes. The next rest replaces this
+        """Use the result of an earlier check, in vehicle axes. The next rest replaces this
         result."""
         self.motion_compensation.zero_error = rfu_from_vehicle(*found.rate)
         self.checked = True
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
-        """Take an angular rate [rad/s]."""
+        """Process an angular rate [rad/s]."""
         self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         step, self._t_gyro = t - self._t_gyro, t
         if step < math.inf and self._lost_time.take_time_step(max(step, 0.0)):
@@ -90,7 +90,7 @@ class CompensatedAttitude:
             self._carried.turn(t, (w[0] - b[0], w[1] - b[1], w[2] - b[2]))
 
     def accel(self, t: float, values: Sequence[float]) -> None:
-        """Take a specific force [m/s^2]."""
+        """Process a specific force [m/s^2]."""
         if self._rate is None or t - self._t_gyro > self.settings.filter.longest_step:
             return
         force = rfu_from_vehicle(values[0], values[1], values[2])
@@ -104,7 +104,7 @@ class CompensatedAttitude:
                 self.motion_compensation.angles = angles
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative. `reverse` sets the direction."""
+        """Process a speed [m/s], not negative. `reverse` sets the direction."""
         self.motion_compensation.speed(t, self._sign * speed)
         if speed > 0.0:
             self._rest.begin()
@@ -123,7 +123,7 @@ class CompensatedAttitude:
         """Note that the rotation of the mount has changed. No state depends on this rotation."""
 
     def take_zeros_off(self, rate: Vector, force: Vector) -> None:
-        """Take the additional zero errors that are subtracted from the samples from now on, vehicle
+        """Set the additional zero errors that are subtracted from the samples from now on, vehicle
         axes (3,) [rad/s], [m/s^2].
 
         The zero error of the rate is reduced by the same value, if a rest has already shown a zero

@@ -45,7 +45,7 @@ class EndpointMaker:
         self._sign = 1.0
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative, that was received at t [s]."""
+        """Process a speed [m/s], not negative, that was received at t [s]."""
         self._heard = t
         average = self._average.add_speed(t, self._sign * speed)
         recent = self._recent

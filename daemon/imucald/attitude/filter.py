@@ -59,7 +59,8 @@ START_MOVING_STD = math.radians(15.0)
 """Assumed deviation of the tilt at the start [rad], at rest and in motion.
 
 The deviation is so large that the first interval corrects the tilt. With a small deviation, the
-difference would be taken as an accelerometer error, which is forgotten slowly.
+filter would take an error of the tilt as an error of the accelerometer, which the filter forgets
+slowly.
 """
 UNSEEN_YAW_RATE = 0.8
 """Standard deviation of a yaw rate without measurement [rad/s].
@@ -110,7 +111,7 @@ weight than headings in the estimate of the gyroscope's zero error.
 
 
 class AttitudeFilter:
-    """Takes samples in vehicle axes (ISO 8855), SI units, with stream time. The settings are
+    """Processes samples in vehicle axes (ISO 8855), SI units, with stream time. The settings are
     `AttitudeSettings`."""
 
     def __init__(self, settings: AttitudeSettings | None = None) -> None:
@@ -178,7 +179,7 @@ class AttitudeFilter:
         self._free: Vector = UNKNOWN
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
-        """Take an angular rate [rad/s]."""
+        """Process an angular rate [rad/s]."""
         step = t - self._propagator.t
         if step < math.inf:
             lost = self._lost_time.take_time_step(max(step, 0.0))
@@ -223,7 +224,7 @@ class AttitudeFilter:
         self.kalman.turned_unseen(std, std)
 
     def accel(self, t: float, values: Sequence[float]) -> None:
-        """Take a specific force [m/s^2]."""
+        """Process a specific force [m/s^2]."""
         x, y, z = rfu_from_vehicle(values[0], values[1], values[2])
         d = self.constant_accel_error
         self._accel_seen = t
@@ -234,7 +235,7 @@ class AttitudeFilter:
             self._free = vehicle_from_rfu(*found.force) if found.known else UNKNOWN
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a speed [m/s], not negative. `reverse` sets the direction."""
+        """Process a speed [m/s], not negative. `reverse` sets the direction."""
         self._endpoints.speed(t, speed)
         if self._motion is not None:
             self._motion.speed(t, self._sign * speed)
@@ -245,12 +246,15 @@ class AttitudeFilter:
         self._sign = -1.0 if is_reverse else 1.0
 
     def heading(self, t: float, heading: float) -> None:
-        """Take a heading [rad], clockwise from north."""
+        """Process a heading [rad], clockwise from north."""
         if self.settings.filter.heading == "signal" and self.running:
             self._take_heading(t, heading)
 
     def mag(self, t: float, values: Sequence[float]) -> None:
-        """Take a magnetic field in vehicle axes [T]. The level part of the field points north."""
+        """Process a magnetic field in vehicle axes [T].
+
+        The level part of the field points north.
+        """
         if self.settings.filter.heading != "magnetometer" or not self.running:
             return
         m = rfu_from_vehicle(values[0], values[1], values[2])
@@ -276,7 +280,7 @@ class AttitudeFilter:
         self.constant_accel_error = matrix_times(D_new_from_old, self.constant_accel_error)
 
     def take_zeros_off(self, rate: Vector, force: Vector) -> None:
-        """Take the additional zero errors that are subtracted from the samples from now on, vehicle
+        """Set the additional zero errors that are subtracted from the samples from now on, vehicle
         axes (3,) [rad/s], [m/s^2].
 
         The zero error of the rate is estimated, so the estimate is reduced by the same value. The
@@ -313,7 +317,7 @@ class AttitudeFilter:
         )
 
     def restore_check(self, found: CheckResult) -> None:
-        """Take the result of an earlier sensor check, in vehicle axes, in place of a new check."""
+        """Use the result of an earlier sensor check, in vehicle axes, in place of a new check."""
         self.constant_bias = rfu_from_vehicle(*found.rate)
         self.constant_accel_error = rfu_from_vehicle(*found.force)
         self.checked = self._check_is_restored = True

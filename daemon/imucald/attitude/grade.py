@@ -32,7 +32,7 @@ class GradeFilter:
         self._angle = math.nan
 
     def take_interval(self, interval: Interval, nose_up: float) -> None:
-        """Take an interval and the pitch of the body at its end [rad], nose up positive."""
+        """Process an interval and the pitch of the body at its end [rad], nose up positive."""
         angle = nose_up - self._squat * interval.forward_acceleration
         if math.isnan(self._angle):
             self._angle = angle

@@ -2,13 +2,13 @@
 
 A heading whose difference from the gyroscope exceeds the gate is not used, because the gyroscope's
 heading has a smaller error. The module cannot decide whether the source or the gyroscope is wrong.
-If the difference lasts for `LOST_AFTER`, the source counts as lost. The heading then gets a doubt,
-which is the largest difference since the loss. A source proves itself if it agrees with the
-gyroscope, up to a constant, for a minute and over a turn. The turn must be so large that a frozen,
-mirrored or wrongly scaled source could not have agreed. A proved source is used again in two cases:
-it shows the same north as before, or the earlier north was not proved. If two different norths were
-both proved, one of them is wrong. The wrong north is not known, so the doubt stays. The module does
-no I/O and reads no clock.
+If the difference lasts for `LOST_AFTER`, the source counts as lost. The deviation of the heading is
+then increased by the largest difference since the loss, the *doubt*. A source proves itself if it
+agrees with the gyroscope, up to a constant, for a minute and over a turn. The turn must be so large
+that a frozen, mirrored or wrongly scaled source could not have agreed. A proved source is used
+again in two cases: it shows the same north as before, or the earlier north was not proved. If two
+different norths were both proved, one of them is wrong. The wrong north is not known, so the doubt
+stays. The module does no I/O and reads no clock.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Verdict(enum.Enum):
 
 
 class HeadingSource:
-    """Takes the differences between a source's headings and the gyroscope's heading, in order of
-    time."""
+    """Processes the differences between a source's headings and the gyroscope's heading, in order
+    of time."""
 
     def __init__(self, gate: float) -> None:
         self._gate = gate

@@ -44,7 +44,9 @@ _EYE = np.eye(STATES)
 
 
 def of_axes(per_vehicle_axis: Vector) -> Vector:
-    """Convert sizes along forward, left, up to sizes along right, forward, up."""
+    """Reorder three amounts without sign, such as deviations, from forward, left, up to right,
+    forward, up.
+    """
     x, y, z = per_vehicle_axis
     return y, x, z
 

@@ -76,7 +76,7 @@ class SpeedAverager:
         self._samples.clear()
 
     def add_speed(self, t: float, speed: float) -> AverageSpeed:
-        """Take a signed speed [m/s] that was received at t [s]. Returns the present average."""
+        """Process a signed speed [m/s] that was received at t [s]. Returns the present average."""
         samples, settings = self._samples, self._settings
         samples.append((t, speed))
         while samples[0][0] < t - settings.average:
@@ -132,7 +132,7 @@ class MotionCompensation:
         self._road = (0.0, 0.0)
 
     def speed(self, t: float, speed: float) -> None:
-        """Take a signed speed [m/s] that was received at t [s]."""
+        """Process a signed speed [m/s] that was received at t [s]."""
         self._heard, self._speed = t, speed
         endpoint = self._average.add_speed(t, speed)
         endpoints = self._endpoints

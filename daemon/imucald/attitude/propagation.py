@@ -101,8 +101,9 @@ class Propagator:
         self.C = rows_from_quaternion(self.q)
 
     def gyro(self, t: float, raw: Vector, bias: Vector) -> None:
-        """Take an angular rate [rad/s] and its bias. Add the waiting accelerometer samples up to t
-        to the history.
+        """Process an angular rate [rad/s] and its bias.
+
+        Add the waiting accelerometer samples up to t to the history.
         """
         rate = (raw[0] - bias[0], raw[1] - bias[1], raw[2] - bias[2])
         dt = t - self.t
@@ -128,7 +129,7 @@ class Propagator:
             self._place(*self._pending.popleft())
 
     def accel(self, t: float, force: Vector) -> None:
-        """Take a specific force [m/s^2]."""
+        """Process a specific force [m/s^2]."""
         if t > self.t:
             self._pending.append((t, force))
         else:

@@ -68,7 +68,7 @@ class _TriadSums:
 
 
 class RestingGyro:
-    """Takes samples of both sensors in any common axes. Returns the zero error of the gyroscope
+    """Processes samples of both sensors in any common axes. Returns the zero error of the gyroscope
     after a rest that is long enough.
 
     The first rest must last `check` (as in the sensor check of method C). Later rests must last
@@ -91,12 +91,12 @@ class RestingGyro:
         self._block = math.nan
 
     def accel(self, force: Vector) -> None:
-        """Take a specific force [m/s^2]."""
+        """Process a specific force [m/s^2]."""
         self._forces.add_vector(force)
 
     def gyro(self, t: float, rate: Vector, stands: bool | None, is_first: bool) -> Vector | None:
-        """Take a rate [rad/s] at t [s]. Returns the zero error if the rest is now long enough, else
-        None.
+        """Process a rate [rad/s] at t [s]. Returns the zero error if the rest is now long enough,
+        else None.
 
         stands: True if the speed is zero; None: not known. is_first: no zero error was returned
         before.

@@ -54,8 +54,9 @@ class CheckResult(NamedTuple):
         )
 
     def as_saved(self) -> dict[str, list[float]]:
-        """Return the result in the form of a saved state. A rotation to other axes and back gives
-        the same numbers.
+        """Return the result in the form of a saved state.
+
+        The numbers are rounded, so that they are the same after a rotation to other axes and back.
         """
         rate, force = ([round(c, DIGITS) for c in values] for values in self)
         return {"rate": rate, "force": force}

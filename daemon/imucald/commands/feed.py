@@ -30,7 +30,9 @@ TARGETS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `feed` for each target."""
-    targets = parser.add_subparsers(dest="target", metavar="TARGET", required=True, help="to whom")
+    targets = parser.add_subparsers(
+        dest="target", metavar="TARGET", required=True, help="receiver of the results"
+    )
     for name, text in TARGETS.items():
         sub = targets.add_parser(
             name, help=text, description=f"Send the results of a running daemon {text}."
@@ -117,8 +119,8 @@ def _add_source(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help=(
-            "database of the daemon's frames; needed if the daemon's path to it does not exist "
-            "on this machine"
+            "configuration of the daemon; needed if the path that the daemon states does not "
+            "exist on this machine"
         ),
     )
     parser.epilog = (

@@ -77,8 +77,12 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--scheduler", metavar="URL", help="Dask: tcp://HOST:PORT or tls://HOST:PORT"
     )
-    for part in ("ca", "cert", "key"):
-        parser.add_argument(f"--tls-{part}", metavar="FILE", help="PEM file for tls://")
+    for part, what in (
+        ("ca", "certificate authority"),
+        ("cert", "certificate of this client"),
+        ("key", "key of this client"),
+    ):
+        parser.add_argument(f"--tls-{part}", metavar="FILE", help=f"for tls://: {what} (PEM file)")
     parser.add_argument(
         "--memory", default="1GiB", metavar="SIZE", help="memory limit for one log (default: 1GiB)"
     )

@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `hold`."""
     add_target(
         parser,
-        " A hold continues after a restart. Data recorded during a hold is ignored. If the drive "
+        "A hold continues after a restart. Data recorded during a hold is ignored. If the drive "
         "contradicts a held mount, the state becomes suspect.",
     )
 

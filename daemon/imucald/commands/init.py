@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--interface", help="listen on a bus: a python-can interface, or a name such as can0"
     )
-    parser.add_argument("--channel", help="its channel")
+    parser.add_argument("--channel", help="channel of this interface, such as can0")
     parser.add_argument(
         "--seconds",
         type=positive,

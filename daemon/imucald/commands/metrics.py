@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="write the metrics into FILE, for node_exporter's textfile collector. FILE is "
-        "replaced in one step. A device, pipe or link is refused",
+        "replaced atomically. A device, pipe or link is refused",
     )
     way.add_argument(
         "--listen",

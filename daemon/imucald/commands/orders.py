@@ -14,7 +14,7 @@ from typing import Any
 from imucald.core.errors import ImucaldError, LinkError
 
 WHO = (
-    "Orders are accepted from root and from the user of the daemon. Log and events "
+    " Orders are accepted from root and from the user of the daemon. Log and events "
     "show each order and the user who gave the order. Exit status: 0 done, 1 refused "
     "(the text says why), 3 no daemon runs, 8 the daemon does not answer."
 )
@@ -23,8 +23,8 @@ NOT_RUNNING = 3
 the same number."""
 
 
-def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add the options that select daemons."""
+def add_target(parser: argparse.ArgumentParser, about: str, example: str = "") -> None:
+    """Add the options that select daemons. about: what the order does, for the help text."""
     from imucald.commands.status import add_socket_argument
 
     add_socket_argument(
@@ -32,7 +32,7 @@ def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
         "status socket of the daemon; the control socket in the same folder receives the order",
     )
     parser.add_argument("--all", action="store_true", help="every daemon that runs here")
-    parser.epilog = WHO + more
+    parser.epilog = about + WHO + example
 
 
 def give(options: argparse.Namespace, order: str, **more: Any) -> int:

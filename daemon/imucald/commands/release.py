@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `release`."""
     add_target(
         parser,
-        " A hold that the configuration states ('calibration: mount: hold: true') cannot be "
+        "A hold that the configuration states ('calibration: mount: hold: true') cannot be "
         "released by this command: remove it from the configuration, then reload.",
     )
 

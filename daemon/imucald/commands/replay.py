@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="X",
         help="SENDS the corrected frames on a bus, at X times real time (default: nothing is sent, "
-        "and the log is computed as fast as possible)",
+        "and the log is replayed as fast as possible)",
     )
     parser.add_argument(
         "--interface", help="with --speed: python-can interface of the bus to send on"

@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `reset`."""
     add_target(
         parser,
-        " The learnt and the saved mount are discarded. This cannot be undone. A mount that the "
+        "The learnt and the saved mount are discarded. This cannot be undone. A mount that the "
         "configuration states ('calibration: mount') is used again after the reset.",
     )
 

@@ -14,9 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `set-mount`."""
     add_target(
         parser,
-        " The angles are the mount angles that 'imucald status' shows. The state "
-        "is 'restored' until the drive confirms the mount. "
-        "Example:\n\n  imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
+        "The angles are the mount angles that 'imucald status' shows. The state is 'restored' "
+        "until the drive confirms the mount.",
+        "\n\n  imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
     )
     for name in ANGLES:
         parser.add_argument(name, type=float, metavar=name.upper(), help=f"{name} [deg]")

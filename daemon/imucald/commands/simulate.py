@@ -40,7 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.log",
         help="log to write ('-': standard output). The true values are written to FILE.truth.json",
     )
-    parser.add_argument("--minutes", type=float, default=10.0, help="length (default: 10)")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="length of the drive [min] (default: 10)"
+    )
     parser.add_argument(
         "--start",
         metavar="TIME",

@@ -40,7 +40,10 @@ crashes msgspec 0.22 when garbage is collected.)"""
 
 
 def per_axis(value: float | tuple[float, ...]) -> tuple[float, float, float]:
-    """Return the numbers for x, y, z. A single number is used for all three axes."""
+    """Return a setting as three numbers, for x, y, z.
+
+    A single number is used for all three axes.
+    """
     x, y, z = value if isinstance(value, tuple) else (value, value, value)
     return x, y, z
 

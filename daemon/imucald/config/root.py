@@ -119,7 +119,11 @@ class LoadedConfig:
     def with_model(self, path: Path) -> LoadedConfig:
         """Return the same configuration with another path of the model file."""
         if self.config.model is None:
-            raise self.error(("model",), "the file names no model, so its place cannot be changed")
+            raise self.error(
+                ("model",),
+                "the configuration names no model file, so the path of the model file cannot be "
+                "changed",
+            )
         model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
         config = msgspec.structs.replace(self.config, model=model)
         return LoadedConfig(config, self.path, self._marks)
@@ -166,7 +170,11 @@ def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
 def _checked(data: Any, marks: Marks, path: Path | None) -> LoadedConfig:
     name = _name(path)
     if not isinstance(data, dict):
-        raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
+        empty = "the file is empty; " if data is None else ""
+        raise ConfigError(
+            f"{name}:1: {empty}a configuration is a mapping with 'database' and 'signals' "
+            "('imucald init' proposes one)"
+        )
     config = typed(data, Config, Document(name, marks, _WHOLE), full=spelled_out(data))
     loaded = LoadedConfig(config, path, marks)
     mistakes = [str(loaded.error(place, text)) for place, text in impossible(config)]

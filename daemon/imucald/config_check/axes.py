@@ -35,7 +35,7 @@ AXIS_DEG = 20.0
 """Largest plausible angle between the vertical (from gravity) and the rotation axis that the
 gyroscope shows in turns [deg]. Body roll and cross-axis errors cause a few degrees."""
 HANDED = 0.7
-"""The handedness of the axes is clear if the size of the triple product of the unit vectors
+"""The handedness of the axes is clear if the magnitude of the triple product of the unit vectors
 forward, left and up is above this value."""
 NO_SPEED = 5.0
 """A gain above this value cannot be caused by a wrong unit of speed, because the largest ratio of
@@ -44,7 +44,7 @@ LEAST_ACROSS = 0.4
 """The direction left is found only if the accelerometer shows at least this share of the
 centripetal acceleration."""
 MIN_REPORTED_DELAY = 2
-"""Smallest speed delay that is reported [ticks]."""
+"""Smallest speed delay that is reported [ticks of 0.1 s]."""
 MIN_ACROSS = 0.15
 """Smallest standard deviation of the specific force in turns for a judgement [m/s^2]: twice the
 effect of road bumps."""
@@ -52,7 +52,7 @@ LATEST = 2.5
 """Largest delay of the speed at which its scale is judged [s]. Such a delay occurs if a GNSS
 receiver smooths its speed, is polled once per second, and its answer waits."""
 _DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
-"""Tried delays of the speed [ticks]."""
+"""Tried delays of the speed [ticks of 0.1 s]."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Response:
     """The response of the accelerometer's axes (3,) to changes of speed and to turns.
 
     explained: share of the motion along `along` that the change of speed explains. delay: delay of
-    the speed relative to the accelerometer [ticks].
+    the speed relative to the accelerometer [ticks of 0.1 s].
     """
 
     along: Array

@@ -36,9 +36,12 @@ than 3 s, such as most starts and brakings. In simulated drives with a speed at 
 calibration took twice as long."""
 
 _NO_SPEED = "missing: yaw is found later and is less certain; "
-_NO_GYRO = "turns then do not help to find pitch and roll, and no corrected angular rate is sent"
+_NO_GYRO = (
+    "without a gyroscope, turns do not help to find pitch and roll, and no corrected angular rate "
+    "is sent"
+)
 _NO_TURNS = "yaw rate and steering angle are missing too"
-_STEADY = "straight driving is recognised by steady angles only"
+_STEADY = "straight driving is recognised only where successive target angles agree"
 _NEVER = (
     "no signal shows turns, so the signs cannot be checked and the mount never becomes "
     "usable. Configure one of the three signals, or 'estimator: published', or state the "

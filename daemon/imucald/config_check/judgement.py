@@ -58,7 +58,7 @@ REVERSE_SPEED = 7.0
 """Largest speed in reverse for a longer time [m/s]."""
 REVERSE_SHARE = 0.1
 """Largest plausible share of the time above `REVERSE_SPEED` in which the reverse signal is on. The
-signal is on for a moment when the lever passes reverse."""
+signal is on for a moment when the gear lever passes reverse."""
 WHEELS_DIFFER = 0.1
 """Largest plausible relative difference between the speed and the wheel speeds. Worn and wrong
 tyres cause 5 %; displayed speeds are up to 10 % too high (UN R39)."""
@@ -79,7 +79,7 @@ WITHOUT_GRAVITY = (
     "of the sensor itself"
 )
 UP_REMEDY = (
-    "correct that line, or turn the signs of all axes ('sign: -1', or remove it if it is set)"
+    "correct that line, or invert the signs of all axes ('sign: -1', or remove it if it is set)"
 )
 FORWARD_REMEDY = "correct that line"
 

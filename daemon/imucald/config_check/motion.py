@@ -18,16 +18,19 @@ MAX_TICKS = 72_000
 """Largest number of ticks (two hours). The limit bounds the memory; two hours are enough to find a
 wrong sign."""
 MAX_HOLE = 25
-"""Longest gap between samples that is interpolated [ticks]. A speed over OBD-II has one sample per
-second."""
+"""Longest gap between samples that is interpolated [ticks of 0.1 s].
+
+A speed over OBD-II has one sample per second."""
 SMOOTH = 11
-"""Length of the moving mean [ticks], 1.1 s. The mean reduces the effect of delays and road
+"""Length of the moving mean [ticks of 0.1 s], 1.1 s. The mean reduces the effect of delays and road
 bumps."""
 DRIVEN_TICKS = 600
-"""Driving time after which every correct signal of a vehicle has changed [ticks]: a minute."""
+"""Driving time after which every correct signal of a vehicle has changed [ticks of 0.1 s]: a
+minute.
+"""
 MIN_STANDING_TICKS = 20
-"""Smallest standing time that is used to measure zero errors (after smoothing) [ticks]: two
-seconds."""
+"""Smallest standing time that is used to measure zero errors (after smoothing) [ticks of 0.1 s]:
+two seconds."""
 
 
 class TickMeans:

@@ -24,10 +24,11 @@ ONE_MOVE = 0.75
 """A move is reported only if it explains at least this share of the changes of gravity. A single
 move does not explain the changes of a loose sensor, which moves all the time."""
 LEAST_GRAVITY = 0.75
-"""Smallest accepted size of the mean gravity vector, relative to the usual size of the specific
-force. Turns and braking change this size little."""
+"""Smallest accepted magnitude of the mean gravity vector, relative to the usual size of the
+specific force. Turns and braking change this size little."""
 PART_TICKS = 300
-"""Length of the parts of a drive without stops that are compared [ticks]: half a minute."""
+"""Length of the parts of a drive without stops that are compared [ticks of 0.1 s]: half a minute.
+"""
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ class _Times:
         return float(np.median(np.concatenate(self._intervals))) if self._count else None
 
     def lost_share(self, message: Message | None = None) -> float | None:
-        """Share of lost frames, from the times. message: the message of all these frames."""
+        """Share of lost frames, computed from the times. message: the message of these frames."""
         return lost_share(np.concatenate(self._intervals), message) if self._count else None
 
 

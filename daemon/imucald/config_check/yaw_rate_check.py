@@ -30,6 +30,8 @@ OTHER_RATIO = 2.5
 not stated. The steering ratio of a truck is up to 1.3 times the steering ratio of a car; the
 wheelbase is up to twice as long."""
 _STEERING = "steering_wheel_angle"
+_BY_SPEED = (_STEERING, "lateral_acceleration", "accelerometer.y")
+"""Measurements of the yaw rate that are computed with the speed."""
 
 
 def sign_findings(
@@ -64,6 +66,9 @@ def gain_findings(rates: Mapping[str, Array], unit_advice: Mapping[str, str]) ->
             others = tuple(other for other in sizes if other != name)
             guess = gain_guess(size / middle, unit_advice.get(name))
             text = f"compared with {', '.join(others)} in turns {guess}"
+            if name in _BY_SPEED:
+                advice = unit_advice.get("speed")
+                text += "; or the unit of the speed is wrong" + (f": {advice}" if advice else "")
             yield Finding("error", name, text, others)
 
 

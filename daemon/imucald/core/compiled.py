@@ -38,7 +38,7 @@ _TYPES: Final = {"o": ctypes.py_object, "i": ctypes.c_long, "d": ctypes.c_double
 
 
 class Kernels:
-    """The functions of the library.
+    """The functions of the compiled library.
 
     The letters below are the types of the arguments: o is an array, i an integer, d a float. The
     files in `core/kernels` document the arguments of each function.

@@ -78,8 +78,9 @@ def steep_words(pitch: float, quaternion: Sequence[float]) -> str | None:
     numbers = " ".join(f"{q:+.4f}" for q in quaternion)
     sign = "roll minus yaw" if pitch > 0.0 else "roll plus yaw"
     return (
-        f"pitch is beyond {STEEP * DEG_PER_RAD:.0f} deg: roll and yaw are nearly the same angle "
-        f"there ({sign}); use the words above or the quaternion w x y z = {numbers}"
+        f"pitch is beyond {STEEP * DEG_PER_RAD:.0f} deg: roll and yaw cannot be "
+        f"separated there, only {sign} is certain; use the words above or the quaternion w x y z = "
+        f"{numbers}"
     )
 
 

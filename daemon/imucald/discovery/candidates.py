@@ -30,7 +30,7 @@ from imucald.inputs.units import is_unit
 from imucald.motion.ticks import TICK_RATE
 
 FEW_LEVELS = 16
-"""Largest number of different values of a signal that may be a switch or a lever."""
+"""Largest number of different values of a signal that may be a switch or a gear lever."""
 MIN_FRAMES = 20
 """Smallest number of frames of a message that is used."""
 SNA_BITS = 6
@@ -283,7 +283,7 @@ def signed_elsewhere(
     """Yield magnitudes without a sign bit in their message, each with the best sign bit of another
     message.
 
-    The values are the values of a configuration with this `sign_signal`.
+    The values are those that a configuration with this bit as `sign_signal` would give.
     """
     signed = {c.path for c in found if c.sign_signal is not None}
     own = [c for c in found if c.message.name in messages]

@@ -33,13 +33,13 @@ ENGINE_WARM = 75.0
 CLEAR_MATTHEWS = 0.6
 """Smallest Matthews correlation between a switch and braking at which the switch is the brake."""
 LEVER_BITS = 8
-"""Largest length of a lever's signal [bits]. A lever has fewer than 256 positions."""
+"""Largest length of a gear lever's signal [bits]. A gear lever has fewer than 256 positions."""
 _LEVER_WORDS = frozenset(("gear", "gang", "lever", "selector", "prnd", "getriebe", "reverse"))
 _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
 def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """Find a value of a switch or lever that means reverse: the force is then opposite to the
+    """Find a value of a switch or gear lever that means reverse: the force is then opposite to the
     change of speed."""
     found = sorted(_reversing(reference, candidates), key=lambda f: -f.nats)
     sure = [f for f in found if f.nats >= BELIEVED_NATS + math.log(len(found))]
@@ -66,7 +66,7 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """A value of a switch or lever. nats: log likelihood ratio of driving backwards to driving
+    """A value of a switch or gear lever. nats: log likelihood ratio of driving backwards to driving
     forwards."""
 
     candidate: SeenSignal
@@ -140,7 +140,7 @@ def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
 
 
 def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
-    """Yield a note if the lever was not in reverse and no name shows the value of reverse."""
+    """Yield a note if the gear lever was not in reverse and no name shows the value of reverse."""
     levers = [
         c.path
         for c in candidates
@@ -150,7 +150,7 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
     ]
     if levers:
         yield (
-            f"reverse: not seen in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
+            f"reverse: not used in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
             f"shows the reverse gear, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' "
             "under 'signals'."
         )

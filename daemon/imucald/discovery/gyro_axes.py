@@ -25,7 +25,7 @@ from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
 WINDOW = 10
-"""Window in which the change of gravity is compared [ticks]: one second, the time scale of
+"""Window in which the change of gravity is compared [ticks of 0.1 s]: one second, the time scale of
 pitching."""
 STEADY_UP = 0.97
 """Smallest mean resultant length of the force's direction at which gravity counts as constant in

@@ -12,13 +12,12 @@ from imucald.inputs.units import is_unit
 
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
-    "the signal is in raw counts, since the database states no scale; the recording "
-    "shows 'unit: {}'"
+    "the signal is in raw counts, since the database states no scale; the recording fits 'unit: {}'"
 )
 
 
 def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
-    """Return the sources of a triad by axis."""
+    """Return the sources of a triad (three signals x, y, z) by axis."""
     return {
         axis: source_of(member, unit, sign)
         for axis, member in zip("xyz", triad.members, strict=True)
@@ -28,8 +27,8 @@ def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
 def gyroscope_choice(
     triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
 ) -> tuple[Choice, Order, Triad]:
-    """Return three results: the choice, the order and signs to apply, and the triad in its unit and
-    order."""
+    """Return three results: the choice, the order and signs to apply, and the triad (three signals
+    x, y, z) in its unit and order."""
     unit, doubt = _unit(triad, fit)
     places, signs = fit.order
     x, y, z = (triad.members[i] for i in places)
@@ -60,9 +59,10 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
         fitting = choose_unit(first.unit, "angular_rate", low, high)
         if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
             counts = in_counts("angular_rate", low, high)
-            return counts, RAW_COUNTS.format(" or ".join((counts.name, *counts.others)))
+            others = f" (and {', '.join(counts.others)})" if counts.others else ""
+            return counts, RAW_COUNTS.format(counts.name) + others
         return (
-            (unit, "the size of its values does not fit any unit")
+            (unit, "its values are too large or too small for every unit")
             if fitting is None
             else (fitting, "")
         )
@@ -77,7 +77,9 @@ def _contradiction(fit: GyroFit) -> str:
 
 
 def _open_question(triad: Triad, fit: GyroFit) -> str:
-    """Return the question that the likelihoods leave open; empty if there is no such question."""
+    """Return a text about what the likelihoods do not decide (axes or signs); empty if they decide
+    everything.
+    """
     orders, signs = right_handed_orders(), fit.order[1]
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"
@@ -103,6 +105,8 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
     if fit.order[1][0] < 0:
         words.append("its signs are opposite to the signs of the accelerometer axes")
     words.append(
-        "axes as named" if triad.names_axes else "each axis was found from turns and gravity"
+        "the axes follow from the names"
+        if triad.names_axes
+        else "each axis was found from turns and gravity"
     )
     return "; ".join(words)

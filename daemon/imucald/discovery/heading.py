@@ -22,7 +22,10 @@ from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
 from imucald.discovery.scalars import RELATED, SAME_MOTION, by_unit_and_name
 
 SPAN = 10
-"""Time over which a change of the heading is computed [ticks]. A receiver sends at 1 Hz."""
+"""Time over which a change of the heading is computed [ticks of 0.1 s].
+
+A receiver sends at 1 Hz.
+"""
 LARGEST_CHANGE = 1.0
 """Largest change of the heading in the time `SPAN` [rad]. A larger change is the jump from 360 to 0
 deg."""
@@ -53,7 +56,7 @@ TURNED_TO_FIT = (
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
     """An angle whose change is the yaw rate. relation: relation to clockwise rotation. delay:
-    [ticks]."""
+    [ticks of 0.1 s]."""
 
     candidate: SeenSignal
     relation: Relation

@@ -9,7 +9,7 @@ from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message
 from imucald.can.j1939_transport import in_transport
 from imucald.core.errors import DatabaseError
-from imucald.core.samples import QUANTITIES
+from imucald.core.samples import QUANTITIES, TEMPERATURE
 from imucald.discovery.candidates import MessageTraffic, SeenSignal, misses_sign
 from imucald.discovery.names import named_so
 
@@ -36,7 +36,7 @@ def not_found(
         if quantity not in found:
             named = _named(quantity, databases)
             why = (
-                _why(message, name, messages, seen, announced)
+                _why(quantity, message, name, messages, seen, announced)
                 for message, name in named
                 if f"{message.name}.{name}" not in used
             )
@@ -51,6 +51,7 @@ def _named(quantity: str, databases: Mapping[str, Database]) -> Iterator[tuple[M
 
 
 def _why(
+    quantity: str,
     message: Message,
     name: str,
     messages: Mapping[str, MessageTraffic],
@@ -60,12 +61,7 @@ def _why(
     """Return the reason why a signal with the name of a quantity was not used."""
     path = f"{message.name}.{name}"
     if path in seen:
-        if seen[path].is_constant:
-            return f"{path} never changes"
-        unit = seen[path].unit
-        return f"{path} does not follow the motion in any unit of this quantity" + (
-            f" (its unit is '{unit}')" if unit else ""
-        )
+        return f"{path} {_why_not_chosen(quantity, seen[path])}"
     try:
         plan = compile_decode(message, [name])
         id_match(message)
@@ -89,3 +85,15 @@ def _why(
             "change '+' to '-' behind '@0' or '@1' of its line"
         )
     return f"{path} has no usable value"
+
+
+def _why_not_chosen(quantity: str, signal: SeenSignal) -> str:
+    """Return the reason why a signal that came with values was not chosen."""
+    if signal.is_constant:
+        return "never changes"
+    if quantity == TEMPERATURE.key and signal.states("temperature"):
+        return "may be the temperature of another part"
+    unit = f" (its unit is '{signal.unit}')" if signal.unit else ""
+    if quantity == TEMPERATURE.key:
+        return f"has no unit of temperature{unit}"
+    return f"does not follow the motion in any unit of this quantity{unit}"

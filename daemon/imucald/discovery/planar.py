@@ -23,7 +23,9 @@ from imucald.discovery.reference import (
 from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
-BY_WHEELS = "the sign is known because the wheels that are named right are faster in left turns"
+BY_WHEELS = (
+    "the sign is known because the wheels with 'right' in their names are faster in left turns"
+)
 WRONG_SCALE = 2.0
 """Largest accepted ratio of a measured scale to the stated scale. Reverse-engineered databases have
 such errors. A larger ratio means another unit."""
@@ -82,7 +84,7 @@ def find_planar(
         "y": source_of(across.second, across.unit.name, sign * across.relation.sign),
     }
     evidence = (
-        "no three signals have a size of 1 g together, so these are two level axes. x "
+        "no three signals form a vector of 1 g, so these are two level axes. x "
         f"follows the change of speed (correlation {best.relation.correlation:+.2f}). y "
         f"follows speed times {across.first.path} (correlation "
         f"{across.relation.correlation:+.2f})"

@@ -225,8 +225,8 @@ def _profile_5(size: int, offset: int, data: Columns) -> Found:
 
 
 def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] | None:
-    """Return the counter (N,) of a profile's header that begins at a bit; None if the counter does
-    not count up."""
+    """Return the counter (N,) of an E2E header that begins at this bit of the frame; None if it
+    does not count up."""
     header = E2E_COUNTERS[profile]
     field = Field(bit + header.bit, header.length, "little_endian")
     if field.end_byte > data.shape[1]:

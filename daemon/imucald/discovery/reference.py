@@ -21,8 +21,10 @@ from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, fa
 from imucald.discovery.triads import Triad
 
 DELAYS = range(-6, 26)
-"""Possible delays of speed and course [ticks]. OBD-II causes up to 1.5 s. A satellite receiver
-causes up to 2.5 s if it smooths its values and is asked once per second."""
+"""Possible delays of speed and course [ticks of 0.1 s].
+
+OBD-II causes up to 1.5 s. A satellite receiver causes up to 2.5 s if it smooths its values and is
+asked once per second."""
 GAIN_TOLERANCE = 1.25
 """Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
 have gains of 0.8 to 1.2."""
@@ -35,8 +37,8 @@ LEAST_SPEED_BITS = 7
 
 @dataclass(frozen=True, eq=False)
 class SpeedFit:
-    """A speed compared with the accelerometer. delay: delay of the speed [ticks]. relation:
-    relation to the accelerometer."""
+    """A speed compared with the accelerometer. delay: delay of the speed [ticks of 0.1 s].
+    relation: relation to the accelerometer."""
 
     candidate: SeenSignal
     unit: UnitChoice
@@ -150,7 +152,7 @@ def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Arr
     """Compare the horizontal acceleration with the change of a speed signal.
 
     Returns the relation ([m/s^2] per unit of speed change per second), the delay of the speed
-    [ticks], and the direction forward (3,). None if the relation is too weak.
+    [ticks of 0.1 s], and the direction forward (3,). None if the relation is too weak.
     """
     level = level_axes(up)
     accel = triad.smooth @ level.T

@@ -135,7 +135,8 @@ def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
 def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: str) -> str:
     if best.unit is None:
         return (
-            "the size of its values does not fit any unit: the scale in the database is wrong, or "
+            "its values are too large or too small for every unit: the scale in the database is "
+            "wrong, or "
             "the signal is another quantity"
         )
     if best.unit.doubt:

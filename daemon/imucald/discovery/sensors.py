@@ -49,8 +49,8 @@ from imucald.discovery.triads import (
 from imucald.discovery.wheels import wheel_sets
 
 MAX_TRIADS = 6
-"""Largest number of triads that are compared with every speed, if no unit shows which triad is the
-accelerometer."""
+"""Largest number of triads (three signals x, y, z) that are compared with every speed, if no unit
+shows which triad is the accelerometer."""
 MAX_ALTERNATIVES = 3
 RAW_COUNTS = (
     "the accelerometer is in raw counts, since the database states no scale; 1 g is "
@@ -128,7 +128,7 @@ class Sensors:
             accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
         elif not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = (
-                "the three signals have a size of 1 g together, but no unit "
+                "the three signals form a vector of 1 g, but no unit "
                 "is stated and no motion confirms them"
             )
         self._found += [gyro, self._magnetometer(), speed]
@@ -151,7 +151,9 @@ class Sensors:
         return max(showing, key=fit)
 
     def _speed_for(self, triad: Triad) -> float:
-        """Return the quality of the best fit between a speed and a triad, and store all fits."""
+        """Return the quality of the best fit between a speed and a triad (three signals x, y, z),
+        and store all fits.
+        """
         up = direction_up(triad)
         members = {m.path for m in triad.members}
         fits = [
@@ -281,7 +283,7 @@ def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
 
 
 def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
-    text = f"their size together is {best.size:.2f} m/s2 +- {100 * best.spread:.1f} %, which is 1 g"
+    text = f"their vector has {best.size:.2f} m/s2 +- {100 * best.spread:.1f} %, which is 1 g"
     if not best.unit.is_stated:
         stated = best.members[0].unit
         text += f" in {best.unit.name} (the database says {stated or 'no unit'})"

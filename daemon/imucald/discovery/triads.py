@@ -1,7 +1,7 @@
 """Three-axis sensors: find three signals that belong together, and their unit.
 
-The three axes of an accelerometer form a vector. The size of this vector at rest is 1 g for any
-mount.
+The three axes of an accelerometer form a vector. The magnitude of this vector at rest is 1 g for
+any mount.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ SCALE_AND_OFFSET = 0.08
 WRONG_SCALE = 0.25
 """Relative error of 1 g above which a stated unit is wrong."""
 NORM_SPREAD = 0.05
-"""Largest relative spread of the vector's size in a drive. A manoeuvre of 0.3 g increases the size
-by sqrt(1 + 0.3^2) - 1 = 0.04. In most of a drive, the manoeuvres are weaker."""
+"""Largest relative spread of the vector's magnitude in a drive.
+
+A manoeuvre of 0.3 g increases the size by sqrt(1 + 0.3^2) - 1 = 0.04. In most of a drive, the
+manoeuvres are weaker."""
 CALM_PART = 0.1
 """Share of a drive in which even a racing driver neither brakes nor turns. In this share of a
-drive, the size of the smoothed specific force is 1 g or slightly more."""
+drive, the magnitude of the smoothed specific force is 1 g or slightly more."""
 EARTH_FIELD = (22e-6, 67e-6)
 """Range of the earth's magnetic field [T] (World Magnetic Model)."""
 
@@ -49,7 +51,7 @@ class Triad:
     unit: UnitChoice
     names_axes: bool
     size: float = math.nan
-    """Median size of the vector in SI. With hard driving, a low quantile of the size is used
+    """Median magnitude of the vector in SI. With hard driving, a low quantile of the size is used
     instead."""
     spread: float = math.nan
     """Robust relative standard deviation of the size."""
@@ -66,19 +68,22 @@ class Triad:
 
     @property
     def apart(self) -> int:
-        """Largest difference between the identifiers of the triad's messages; 0 for a single
-        message."""
+        """Largest difference between the identifiers of the messages with the three axes; 0 for a
+        single message.
+        """
         ids = [m.message.can_id for m in self.members]
         return max(ids) - min(ids)
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Names of the triad's messages."""
+        """Names of the messages of the triad (three signals x, y, z)."""
         return tuple(dict.fromkeys(m.message.name for m in self.members))
 
 
 def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads whose vector has a size of 1 g, the most likely first."""
+    """Return all triads (three signals x, y, z) whose vector has a magnitude of 1 g, the most
+    likely first.
+    """
     found: list[Triad] = []
     for three in _threes(candidates, "acceleration"):
         fit = _of_one_g(three)
@@ -89,11 +94,11 @@ def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads without a unit whose names show the axes and whose vector has a constant
-    size in counts.
+    """Return all triads (three signals x, y, z) without a unit whose names show the axes and whose
+    vector has a constant magnitude in counts.
 
-    The vector of a magnetometer also has a constant size (the earth's field). An accelerometer and
-    a magnetometer can be distinguished only by the vehicle's motion.
+    The vector of a magnetometer also has a constant magnitude (the earth's field). An accelerometer
+    and a magnetometer can be distinguished only by the vehicle's motion.
     """
     found = []
     for three in _threes(candidates, "acceleration"):
@@ -109,7 +114,7 @@ def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, int, float]:
     """Return the sort key. A stated unit comes first, then named axes, then a single message or
-    near messages, then the most constant size."""
+    near messages, then the most constant magnitude."""
     stated = all(m.states("acceleration") for m in triad.members)
     apart = triad.apart
     return not stated, not triad.names_axes, apart > 0, apart, triad.spread
@@ -149,11 +154,11 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
 
 
 def of_another_size(candidates: Sequence[SeenSignal]) -> str:
-    """Return a text about three accelerations of a message whose size is constant but not 1 g;
+    """Return a text about three accelerations of a message whose magnitude is constant but not 1 g;
     empty if there are none.
 
-    The size of gravity is constant in any drive. With a wrong scale in the database, the size is
-    constant at another value. Only signals with a unit and with names of axes count.
+    The magnitude of gravity is constant in any drive. With a wrong scale in the database, the size
+    is constant at another value. Only signals with a unit and with names of axes count.
     """
     for three in _threes(candidates, "acceleration"):
         ordered, named = in_order(three)
@@ -167,7 +172,7 @@ def of_another_size(candidates: Sequence[SeenSignal]) -> str:
             continue
         names = ", ".join((ordered[0].path, *(m.signal.name for m in ordered[1:])))
         return (
-            f"{names} look like the sensor, but their size together is {middle:.3g} m/s^2, "
+            f"{names} look like the sensor, but their vector has {middle:.3g} m/s^2, "
             f"and gravity is {GRAVITY:.2f}: the scale in the database seems to be "
             f"{middle / GRAVITY:.3g} times the right one"
         )
@@ -181,7 +186,10 @@ def _one_g_unit(stated: str, size: float, tolerance: float) -> UnitChoice | None
 
 
 def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads that may be angular rates. The unit is not yet checked."""
+    """Return all triads (three signals x, y, z) that may be angular rates.
+
+    The unit is not yet checked.
+    """
     found = []
     for three in _threes(candidates, "angular_rate"):
         ordered, named = in_order(three)
@@ -192,7 +200,7 @@ def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
-    """Return all triads with a unit of the magnetic field."""
+    """Return all triads (three signals x, y, z) with a unit of the magnetic field."""
     found = []
     for three in _threes(candidates, "magnetic_field"):
         ordered, named = in_order(three)
@@ -297,7 +305,9 @@ def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:
-    """Return the triads, without the triads that share a signal with a better triad."""
+    """Return the triads (three signals x, y, z), without the triads that share a signal with a
+    better triad.
+    """
     used: set[str] = set()
     kept = []
     for triad in found:

@@ -83,7 +83,7 @@ def find_wheels(
     if by_name:
         order = [named.index(w) for w in WHEELS]
         track = _track(four, order, unit, reference)
-        text = "named so"
+        text = "the names show the wheel of each"
         if track is not None and track.is_believed:
             text += f"; {IN_ORDER if track.sign > 0 else IN_ORDER.replace('right', 'LEFT')}"
             if track.sign < 0:

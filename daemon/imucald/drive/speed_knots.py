@@ -26,13 +26,13 @@ SURE = 0.99
 vehicle was at rest in a part of the tick.
 """
 DENSE = 1.5
-"""Largest distance between two knots [ticks] for which the speed counts as known in every tick
-between the knots.
+"""Largest distance between two knots [ticks of 0.1 s] for which the speed counts as known in every
+tick between the knots.
 """
 
 
 def known_times(knots: Array, speed: Array, least: float) -> Array:
-    """Return the knots, from knots (K,) [ticks], at which the speed is really known.
+    """Return the knots, from knots (K,) [ticks of 0.1 s], at which the speed is really known.
 
     speed: (N,) [m/s]. least: smallest speed that the sender shows [m/s]. The speed of such a sender
     is zero while the vehicle still rolls, and remains zero after the vehicle has started.
@@ -51,7 +51,7 @@ def known_times(knots: Array, speed: Array, least: float) -> Array:
 
 
 def means_between(x: Array, knots: Array, use: Flags) -> Array:
-    """Replace columns x (N, w) of ticks by their means between knots (K,) [ticks].
+    """Replace columns x (N, w) of ticks by their means between knots (K,) [ticks of 0.1 s].
 
     use: (N,) flags of the usable ticks. No mean contains both usable and unusable ticks. A tick
     between knots that are at most `DENSE` ticks apart stays unchanged.

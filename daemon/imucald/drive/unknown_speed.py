@@ -35,8 +35,9 @@ NAMES: Final = (
 """Columns of `EliminatedSpeed`: the unpredicted part of f_y ("left"), and the responses of this
 part to errors of size one.
 
-xy: error of v r in f_x. yx: error of dv/dt in f_y. v: zero error of the turn rate. tilted:
-cross-talk of the rate from z to x and to y. ahead: error in f_x. All other errors are in f_y.
+xy: error of v r (speed times yaw rate) in f_x. yx: error of dv/dt in f_y. v: zero error of the turn
+rate. tilted: cross-talk of the rate from z to x and to y. ahead: error in f_x. All other errors are
+in f_y.
 """
 _XY, _TILTED_X, _TILTED_Y, _ROUND_AHEAD, _ARM_AHEAD = (
     NAMES.index(n) for n in ("xy", "tilted x", "tilted y", "r^2 ahead", "dr/dt ahead")
@@ -107,7 +108,9 @@ class Steered(NamedTuple):
         return v / s * (1.0 + k * s * s) / (1.0 + k * v * v)
 
     def slope(self, v: float) -> float:
-        """Return the derivative of v r with respect to v, as a multiple of r."""
+        """Return the derivative of v r (speed times yaw rate) with respect to v, as a multiple of
+        r.
+        """
         return 2.0 / (1.0 + self.understeer * v * v)
 
 
@@ -150,8 +153,8 @@ class UnknownSpeed:
         return math.sqrt(max(float(self._covariance[V, V]), 0.0))
 
     def follow(self, force: Array, rate: Array, rest: Flags, use: Flags) -> EliminatedSpeed:
-        """Take N ticks. force, rate: (N, 3) in body axes. rest: (N,) flags: the vehicle is as still
-        as a parked vehicle. use: (N,) flags of the usable ticks.
+        """Process N ticks. force, rate: (N, 3) in body axes. rest: (N,) flags: the vehicle is as
+        still as a parked vehicle. use: (N,) flags of the usable ticks.
         """
         n = len(force)
         given, seen = self._inputs(force, rate)

@@ -54,7 +54,9 @@ class MqttReceiver:
 
             def _sock_recv(self, bufsize: int) -> bytes:
                 if bufsize > PACKET_MAX:
-                    raise ConnectionError(f"the broker sends a packet of {bufsize} bytes")
+                    raise ConnectionError(
+                        f"the broker sends a packet of {bufsize} bytes, which is too long"
+                    )
                 return bytes(super()._sock_recv(bufsize))
 
             def _packet_handle(self) -> MQTTErrorCode:

@@ -28,7 +28,7 @@ from imucald.core.file_cache import keep_databases
 from imucald.runtime.session import make_engine, open_config
 
 KEY_DIGITS = 16
-"""Hex digits of a key. With 64 bits, the chance that two of 10^6 logs share a key is 3e-8."""
+"""Hex digits of a key. With 64 bits, the probability that two of 10^6 logs share a key is 3e-8."""
 
 
 class Bundle(msgspec.Struct, frozen=True):

@@ -37,11 +37,11 @@ PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Suffixes of the six elements of a symmetric matrix."""
 
 _VEHICLE = texts(
-    vehicle="by the rules of fleet.yaml",
+    vehicle="name of the vehicle, by the rules of fleet.yaml",
     vehicle_type="model of the vehicle; all sensors of a type should have the same mount",
-    sensor_serial="serial number",
-    sensor_batch="batch of production",
-    firmware="of the sensor",
+    sensor_serial="serial number of the sensor",
+    sensor_batch="production batch of the sensor",
+    firmware="firmware of the sensor",
 )
 _MOUNT = (
     *floats("", "mount as a unit quaternion, R_vehicle_from_sensor", "q_w", "q_x", "q_y", "q_z"),
@@ -64,28 +64,36 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
             sources="addresses of the log, a JSON list",
             date="day of the log, or the day that a rule of fleet.yaml gives",
         ),
-        Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
-        Column("end", "time", "", "last configured frame, UTC"),
-        *floats("s", "from the first configured frame to the last", "duration_s"),
-        *floats("m", "by the speed", "distance_m"),
+        Column(
+            "start",
+            "time",
+            "",
+            "time of the first frame, UTC; null where the log has no absolute time",
+        ),
+        Column("end", "time", "", "time of the last configured frame, UTC"),
+        *floats("s", "time from the first configured frame to the last", "duration_s"),
+        *floats("m", "distance, computed from the speed", "distance_m"),
         *texts(state="state of the calibration at the end"),
-        *floats("s", "from the log's first frame", "first_usable_s", "first_fine_s"),
+        *floats("s", "time from the log's first frame", "first_usable_s", "first_fine_s"),
         *_MOUNT,
         *_COVARIANCE,
         *floats(
-            "deg", "the road crown's part in cov_xx, common to a driving side", "crown_std_deg"
+            "deg",
+            "standard deviation of roll due to the road crown, contained in cov_xx; common to all "
+            "drives on one side of the road",
+            "crown_std_deg",
         ),
         *texts(
             driving_side="left, right or unknown",
-            waiting_roll="reason why an angle is not known, in words",
-            waiting_pitch="the same",
-            waiting_yaw="the same",
+            waiting_roll="evidence that roll still needs, in words",
+            waiting_pitch="evidence that pitch still needs, in words",
+            waiting_yaw="evidence that yaw still needs, in words",
             causes="faults that were seen in the drive, a JSON list of names",
         ),
         Column("frames_read", "integer", "", "frames of the log"),
         Column("frames_used", "integer", "", "frames that gave samples"),
         *texts(rejected="frames rejected by reason, JSON"),
-        *floats("Hz", "good samples of the accelerometer by time", "rate_accel_hz"),
+        *floats("Hz", "accepted accelerometer samples per second", "rate_accel_hz"),
         Column("schema_version", "short", "", "version of this table"),
         *texts(
             diagnosed="certain causes that `imucald diagnose` finds in this drive, a JSON list; "
@@ -93,48 +101,57 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         ),
     ),
     "events": (
-        *texts(log_key="the drive", vehicle="as in drives"),
-        Column("time", "time", "", "UTC; null where the log has no absolute time"),
-        *floats("s", "from the log's first frame", "t_s"),
-        *texts(kind="state, shift, contradiction, segment or sensor fault", text="for people"),
-        *floats("deg", "turn about the vehicle's axes", "d_x_deg", "d_y_deg", "d_z_deg"),
+        *texts(log_key="key of the drive", vehicle="as in drives"),
+        Column(
+            "time", "time", "", "time of the event, UTC; null where the log has no absolute time"
+        ),
+        *floats("s", "time from the log's first frame", "t_s"),
+        *texts(
+            kind="state, shift, contradiction, segment or sensor fault", text="description in words"
+        ),
+        *floats(
+            "deg", "turn of the sensor about the vehicle's axes", "d_x_deg", "d_y_deg", "d_z_deg"
+        ),
         Column("schema_version", "short", "", "version of this table"),
     ),
     "failures": (
         *texts(
             source="address of the log",
             vehicle="as in drives",
-            log_key="null where the content was not read to the end",
+            log_key="as in drives; null if the content was not read to the end",
             run_key="as in drives",
-            kind="unreadable, no_frames, config, storage, timeout, memory, crashed, bug",
-            message="for people",
-            traceback="traceback of Python, where there is one",
+            kind="kind of failure: unreadable, no_frames, config, storage, timeout, memory, "
+            "crashed, bug",
+            message="reason in words",
+            traceback="traceback of Python, if there is one",
         ),
-        Column("exit_code", "integer", "", "exit status of the child; -N: killed by signal N"),
-        Column("attempts", "integer", "", "how often it was tried"),
+        Column(
+            "exit_code", "integer", "", "exit status of the child process; -N: killed by signal N"
+        ),
+        Column("attempts", "integer", "", "number of attempts to evaluate the log"),
         Column("schema_version", "short", "", "version of this table"),
     ),
     "sources": (
         *texts(
             source="address of the log",
-            fingerprint="etag, or size and time of change",
-            log_key="hash of its content; null where it was not read",
+            fingerprint="etag of the log, or its size and time of change",
+            log_key="hash of the log's content; null if the log was not read",
             run_key="as in drives",
             vehicle="as in drives",
             outcome="ok, or the kind of failure",
         ),
-        Column("bytes", "integer", "B", "of the log"),
+        Column("bytes", "integer", "B", "size of the log"),
         Column("schema_version", "short", "", "version of this table"),
     ),
     "costs": (
         *texts(source="address of the log", outcome="ok, or the kind of failure"),
-        Column("attempt", "integer", "", "first is 1"),
-        Column("finished", "time", "", "UTC"),
-        *floats("s", "by the wall clock, in the worker", "wall_s"),
-        *floats("s", "of the processor", "cpu_s"),
-        Column("peak_memory_bytes", "integer", "B", "resident, of the child"),
-        *texts(worker="machine that evaluated it"),
-        Column("bytes", "integer", "B", "of the log"),
+        Column("attempt", "integer", "", "number of the attempt; the first is 1"),
+        Column("finished", "time", "", "end of the attempt, UTC"),
+        *floats("s", "elapsed time in the worker", "wall_s"),
+        *floats("s", "processor time", "cpu_s"),
+        Column("peak_memory_bytes", "integer", "B", "largest resident memory of the child process"),
+        *texts(worker="machine that evaluated the log"),
+        Column("bytes", "integer", "B", "size of the log"),
         Column("schema_version", "short", "", "version of this table"),
     ),
 }

@@ -46,7 +46,9 @@ def list_logs(fleet: Fleet) -> list[Log]:
 
 
 def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log]:
-    """Yield the logs of a pattern. lists: the nested lists that contain the pattern."""
+    """Yield the logs of a pattern. lists: the list files that led to this pattern; a list that
+    contains itself is refused.
+    """
     storage = fleet.settings.storage
     url = pattern
     if protocol_of(pattern) == "memory":

@@ -49,7 +49,7 @@ DTYPES: Mapping[str, str] = {
 MORE = (
     Column("source", "text", "", "address of the log"),
     Column("outcome", "text", "", "ok, or the kind of failure"),
-    Column("message", "text", "", "message of a failure, for people"),
+    Column("message", "text", "", "reason of a failure, in words"),
 )
 """Additional columns of the result. Every log has a row, even if its evaluation failed."""
 COLUMNS = (*TABLES["drives"], *MORE)

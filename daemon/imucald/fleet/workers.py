@@ -110,7 +110,10 @@ class Futures:
 
 
 class ExecutorWorkers:
-    """Workers of any `concurrent.futures.Executor`. `here` uses threads on this machine."""
+    """Workers of any `concurrent.futures.Executor`.
+
+    The function `here` returns workers that are threads on this machine.
+    """
 
     def __init__(self, executor: Executor, slots: int) -> None:
         self.slots = slots

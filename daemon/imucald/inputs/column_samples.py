@@ -1,5 +1,5 @@
-"""Make the samples of a chunk of frames, by channel: join several sources, and assemble triads
-whose axes are in different frames."""
+"""Make the samples of a chunk of frames, by channel: join several sources, and assemble three-axis
+samples whose axes are in different frames."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Routed(Struct, frozen=True, eq=False):
 
 def joined(found: list[TapSamples], selector: SourceSelector | None) -> ColumnSamples:
     """Join the samples of all sources of a channel. The preferred source is selected. For parts of
-    triads, use `assembled`."""
+    three-axis samples, use `assembled`."""
     whole = sorted(found, key=lambda part: part.tap.rank)
     if selector is not None:
         by_rank: dict[int, TapSamples] = {}
@@ -69,8 +69,8 @@ def assembled(
     """Assemble the samples of a channel whose axes are in different frames. The steps are the same
     as for single frames, in row order.
 
-    refused: list to which the rows of incomplete triads are added. refused_values: list to which
-    the rows of triads with a rejected value are added.
+    refused: list to which the rows of incomplete three-axis samples are added. refused_values: list
+    to which the rows of three-axis samples with a rejected value are added.
     """
     t_out: list[float] = []
     rows_out: list[int] = []

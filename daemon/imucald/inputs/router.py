@@ -121,7 +121,7 @@ class Router:
 
     @property
     def stated_cycles(self) -> list[tuple[IdMatch, float]]:
-        """Filters of the identifiers with a stated cycle [s]."""
+        """Filters of the identifiers whose cycle is stated, each with this cycle [s]."""
         return [(r.match, r.stated_cycle) for r in self.routes if r.stated_cycle is not None]
 
     @property

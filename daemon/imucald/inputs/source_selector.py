@@ -1,5 +1,5 @@
 """Select the preferred active source of a quantity. Collect samples of taps, and assemble
-triads."""
+three-axis samples."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class SourceSelector:
 
 
 MAX_SKEW = 0.1
-"""Largest time difference between the values of a triad that are from different frames [s]: one
-tick."""
+"""Largest time difference between the values of a three-axis sample that are from different frames
+[s]: one tick."""
 
 
 class TapSamples(Struct, frozen=True, eq=False):
@@ -117,7 +117,7 @@ class TapSamples(Struct, frozen=True, eq=False):
 
 
 class TriadAssembler:
-    """Assembles one sample (a triad, four wheel speeds) from values of several frames.
+    """Assembles one sample (three axes, or four wheel speeds) from values of several frames.
 
     If a value arrives again before the sample is complete, a new sample begins, because another
     value was lost or has a lower rate. Therefore no value in a sample is older than one cycle of

@@ -20,8 +20,10 @@ LAGS = (1, 2, 4, 8, 16, 32)
 """Numbers of samples over which changes of a signal are taken. These numbers replace the frequency
 bands."""
 GAP_QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
-"""Quantiles of the gaps between neighbouring levels. The first quantile is one step, because codes
-may be missing."""
+"""Quantiles of the gaps between neighbouring levels.
+
+The first quantile, which nine tenths of the gaps reach or exceed, is taken as one step. Other gaps
+may be larger, because codes may be missing."""
 Bands = tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
 
 

@@ -63,8 +63,8 @@ class ModelCompensation:
                 )
         if any(terms.lever_arm) and "gyro" not in channels:
             found.append(
-                "mount.lever_arm_m: needs signals.gyroscope; without it, its effect is "
-                "not corrected"
+                "mount.lever_arm_m: needs signals.gyroscope; without it, the effect "
+                "of the lever arm is not corrected"
             )
         if not terms.suspension.neutral and not self.suspension:
             found.append("suspension: not corrected, since compensate_suspension is off")

@@ -28,7 +28,7 @@ class Smoothed:
         self._t = -math.inf
 
     def push(self, t: float, v: Vector3) -> Vector3:
-        """Take a sample at t [s]. Returns the smoothed sample."""
+        """Process a sample at t [s]. Returns the smoothed sample."""
         dt = t - self._t
         self._t = t
         if not dt <= GAP_S:

@@ -61,7 +61,7 @@ class _Axis:
 
 
 class SuspensionFilter:
-    """Takes forces in vehicle (body) axes and returns the attitude of the body."""
+    """Receives forces in vehicle (body) axes and returns the attitude of the body."""
 
     def __init__(self, terms: SuspensionTerms) -> None:
         self._roll = _Axis(terms.roll, terms.roll, terms.roll_hz, terms.roll_damping)
@@ -82,7 +82,7 @@ class SuspensionFilter:
         return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> SuspensionAttitude:
-        """Take the force along and across the vehicle at t [s]. NaN restarts the filter."""
+        """Process the force along and across the vehicle at t [s]. NaN restarts the filter."""
         if math.isnan(x):
             self.restart()
             return self.attitude

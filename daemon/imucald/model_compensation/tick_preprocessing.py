@@ -28,7 +28,7 @@ _SENSORS = ((tk.ACCEL.n, _FORCES), (tk.GYRO.n, _RATES))
 
 
 class TickPreprocessing:
-    """Takes rows of ticks and returns the rows for the estimator.
+    """Receives rows of ticks and returns the rows for the estimator.
 
     time_alignment: alignment in time; None: all signals have the same age. suspension: attitude of
     the body, at ten ticks per second; None: a stiff suspension.

@@ -50,7 +50,7 @@ class _Shift:
 
 
 class TimeAlignment:
-    """Takes rows of ticks and returns rows in which all channels belong to the same time.
+    """Receives rows of ticks and returns rows in which all channels belong to the same time.
 
     shifts: by channel, the time by which the channel is delayed [s].
     """
@@ -71,7 +71,10 @@ class TimeAlignment:
         self._rows.clear()
 
     def row(self, row: Sequence[float]) -> list[float]:
-        """Take the row of a tick. Returns a row in which every channel is delayed by its shift."""
+        """Process the row of a tick.
+
+        Returns a row in which every channel is delayed by its shift.
+        """
         self._rows.appendleft(row)
         out = list(self._empty)
         out[tk.T] = row[tk.T]

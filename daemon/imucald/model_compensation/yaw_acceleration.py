@@ -20,7 +20,7 @@ GAP_S = 0.5
 
 
 class YawAcceleration:
-    """Takes yaw rates [rad/s] and returns their derivative. The observer uses the backward Euler
+    """Receives yaw rates [rad/s] and returns their derivative. The observer uses the backward Euler
     method, which is stable for any time step."""
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class YawAcceleration:
         """Yaw acceleration [rad/s^2]."""
 
     def push(self, t: float, rate: float) -> float:
-        """Take a rate at t [s]. Returns its derivative [rad/s^2]. NaN restarts the observer."""
+        """Process a rate at t [s]. Returns its derivative [rad/s^2]. NaN restarts the observer."""
         if math.isnan(rate):
             self.restart()
             return 0.0

@@ -32,7 +32,7 @@ SIDES = 2
 
 
 class Carry(Struct):
-    """State that one hop passes to the next hop. Each array has one entry per axis.
+    """State that one hop (half a second) passes to the next hop. Each array has one entry per axis.
 
     last: the last sample; NaN before the first sample. run: number of equal samples up to the last
     sample. step: smallest change from sample to sample so far.
@@ -61,10 +61,11 @@ class HopRows(Struct, frozen=True):
     """Statistics of H hops. Shapes: count (H,), top and on_top (H, 2, axes), others (H, axes).
 
     mean: mean of the samples. level: mean size of the change from sample to sample. step: smallest
-    change so far. ended: number of runs of equal values that ended in the hop. longest: length of
-    the longest of these runs. run: number of equal samples up to the hop's end. top: the hop's
-    largest value, and the largest of the negated values. on_top: number of samples with the value
-    of `top`. samples: (axes, N) the samples; hop h has the samples from edges[h] to edges[h + 1].
+    change so far. ended: number of runs of equal values that ended in the hop (half a second).
+    longest: length of the longest of these runs. run: number of equal samples up to the hop's end.
+    top: the hop's largest value, and the largest of the negated values. on_top: number of samples
+    with the value of `top`. samples: (axes, N) the samples; hop h has the samples from edges[h] to
+    edges[h + 1].
     before: (axes,) the sample before the first hop; NaN if there is none.
     """
 
@@ -86,7 +87,8 @@ class HopRows(Struct, frozen=True):
         return self.samples[:, k - 1] if k else self.before
 
     def entries(self) -> Array:
-        """Return the size of the change at which the run at the end of each hop began (H, axes).
+        """Return the size of the change at which the run at the end of each hop (half a second)
+        began (H, axes).
 
         The value is valid only for a run that began in the same hop.
         """
@@ -97,7 +99,8 @@ class HopRows(Struct, frozen=True):
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
-    """Return the statistics of hops 0 .. hops-1, and update `carry` to the end of the last hop.
+    """Return the statistics of hops 0 .. hops-1, and update `carry` to the end of the last hop
+    (half a second).
 
     values: (N, axes) samples. hop: (N,) hop number of each sample, in ascending order.
     """
@@ -142,7 +145,7 @@ def _count_axis(
     figures: tuple[NDArray[Any], ...],
 ) -> None:
     """Fill the statistics of one axis, sample by sample. edges: index of the first sample of each
-    hop."""
+    hop (half a second)."""
     mean, level, steps, ended, longest, runs, top, on_top = figures
     last, run, step = float(carry.last[axis]), int(carry.run[axis]), float(carry.step[axis])
     for h, (begin, end) in enumerate(pairwise(edges)):

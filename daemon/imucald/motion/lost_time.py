@@ -44,7 +44,7 @@ class LostTime:
         step."""
 
     def take_time_step(self, step: float) -> float:
-        """Take the time step to a sample [s], not negative. Returns the lost time before this
+        """Process the time step to a sample [s], not negative. Returns the lost time before this
         sample.
 
         The result is nearly always 0.0. A loss is known as soon as stream time moves on. Until

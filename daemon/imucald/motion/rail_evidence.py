@@ -37,8 +37,9 @@ MOST_SAMPLES = 512
 class AxisHops(Struct, frozen=True, dict=True):
     """Statistics of the hops of one axis.
 
-    runs: for each hop, the number of runs of equal values that ended before the hop, and the length
-    of the longest of these runs. levels, steps: (H,) level and step of each hop, as in `HopRows`.
+    runs: for each hop (half a second), the number of runs of equal values that ended before the
+    hop, and the length of the longest of these runs. levels, steps: (H,) level and step of each
+    hop, as in `HopRows`.
     entries: result of `HopRows.entries`. top_values, top_counts: (2, H) top and on_top as in
     `HopRows`, first the upper side, then the lower side. The lists of these arrays are made when
     they are first used.
@@ -50,7 +51,7 @@ class AxisHops(Struct, frozen=True, dict=True):
     runs: list[tuple[int, int]]
 
     def rate(self, h: int) -> float:
-        """Return the rate of `Pile` from the runs before hop h."""
+        """Return the rate of `Pile` from the runs before hop h (half a second)."""
         return rate_of(*self.runs[h])
 
     @cached_property
@@ -71,7 +72,7 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @property
     def top_values(self) -> Array:
-        """Largest value of each hop, and largest negated value (2, H)."""
+        """Largest value of each hop (half a second), and largest negated value (2, H)."""
         return self.rows.top[:, :, self.axis].T
 
     @property
@@ -81,23 +82,25 @@ class AxisHops(Struct, frozen=True, dict=True):
 
     @cached_property
     def level(self) -> list[float]:
-        """Mean size of the change from sample to sample, for each hop."""
+        """Mean size of the change from sample to sample, for each hop (half a second)."""
         return _listed(self.levels)
 
     @cached_property
     def entry(self) -> list[float]:
-        """Size of the change at which the run at the end of each hop began, see
+        """Size of the change at which the run at the end of each hop (half a second) began, see
         `HopRows.entries`."""
         return _listed(self.entries[:, self.axis])
 
     @cached_property
     def smallest_change(self) -> list[float]:
-        """Smallest change so far, for each hop."""
+        """Smallest change so far, for each hop (half a second)."""
         return _listed(self.steps)
 
     @cached_property
     def tops(self) -> list[list[float]]:
-        """Largest value of each hop, and largest negated value, as lists by side and hop."""
+        """Largest value of each hop (half a second), and largest negated value, as lists by side
+        and hop.
+        """
         found: list[list[float]] = self.top_values.tolist()
         return found
 
@@ -110,11 +113,12 @@ def _listed(figures: Array) -> list[float]:
 class Pile(Struct):
     """Evidence that a value is a rail (end of the range).
 
-    rate: -log of the chance that a sample equals the sample before [nats], known from earlier
+    rate: -log of the probability that a sample equals the sample before [nats], known from earlier
     samples. at_it: number of samples with the value. stays: number of these samples that equal the
-    sample before. met: -log of the chance that the axis arrives again and again within the same
-    step [nats]. first, last: first and last hop of driving in which the value was reached. seen:
-    samples, each with the sample before, so that data that repeat to the last bit count once.
+    sample before. met: -log of the probability that the axis arrives again and again within the
+    same step [nats]. first, last: first and last hop (half a second) of driving in which the value
+    was reached. seen: samples, each with the sample before, so that data that repeat to the last
+    bit count once.
     before: at_it and stays at the last arrival.
     """
 
@@ -137,11 +141,12 @@ class Pile(Struct):
 
     @property
     def surprise(self) -> float:
-        """-log of the chance of all observations if the value is not a rail [nats]."""
+        """-log of the probability of all observations if the value is not a rail [nats]."""
         return self.met + STAYS_COUNT * more_often(self.stays, self.at_it, self.rate)
 
     def count(self, at: AxisHops, h: int, axis: int, side: int, value: float) -> bool:
-        """Count the new samples of hop h on the value. Returns True if there are new samples.
+        """Count the new samples of hop h (half a second) on the value. Returns True if there are
+        new samples.
 
         A sample that was sent twice is not new. side: 0 for the largest value, 1 for the smallest
         value, which is negated.
@@ -172,11 +177,11 @@ class Pile(Struct):
 
 
 def more_often(stays: int, of: int, rate: float) -> float:
-    """Return -log of the chance of at least this many stays [nats].
+    """Return -log of the probability of at least this many stays [nats].
 
     stays: number of samples that equal the sample before. of: number of all samples. rate: each
-    sample equals the sample before with the chance exp(-rate). The result is Chernoff's bound of
-    the binomial distribution's tail; 0 if the stays are not more frequent than this chance.
+    sample equals the sample before with the probability exp(-rate). The result is Chernoff's bound
+    of the binomial distribution's tail; 0 if the stays are not more frequent than this probability.
     """
     chance = math.exp(-rate)
     share = stays / of if of else 0.0
@@ -197,7 +202,7 @@ MIN_RUN = 3
 
 
 class LostContact:
-    """Detects a loose contact of one axis, hop by hop."""
+    """Detects a loose contact of one axis, hop by hop (half a second each)."""
 
     def __init__(self) -> None:
         self._open = 0  # samples of the run at the end of the last hop
@@ -212,7 +217,7 @@ class LostContact:
     def take_hop(
         self, at: AxisHops, h: int, axis: int, counts: tuple[int, int, int, int], usual: Runs
     ) -> tuple[bool, bool]:
-        """Take hop h of an axis.
+        """Process hop h (half a second) of an axis.
 
         counts: count, ended, longest and run of the axis, as in `HopRows`. usual: the runs of equal
         values of this axis so far. The first result is True if a run between two jumps ended in the
@@ -234,8 +239,8 @@ class LostContact:
         return found, jumped
 
     def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
-        """Return the length of the longest run between two jumps that ended in the hop
-        [samples]."""
+        """Return the length of the longest run between two jumps that ended in the hop (half a
+        second) [samples]."""
         first, last = int(rows.edges[h]), int(rows.edges[h + 1])
         values = rows.samples[axis, first:last]
         change = np.abs(np.diff(values, prepend=rows.previous(first)[axis]))

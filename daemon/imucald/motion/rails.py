@@ -8,7 +8,7 @@ For each side of an axis, the extremes that no later value has exceeded are stor
 low. The number of samples on a value, and one and two steps below this value, shows whether the
 value is the end of a range. A whole recording shows more of a rail than the samples so far: see
 `recorded_health`. The compiled code (`core/kernels/rails.c`) processes successive hops up to the
-first hop that needs further tests. `rail_hops` does the same.
+first hop (half a second) that needs further tests. `rail_hops` does the same.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ value stored before, so few values are needed."""
 class Top(Struct):
     """A value that no later value has exceeded.
 
-    born: hop in which the value was reached. on: number of samples on the value. one_below,
+    born: hop (half a second) in which the value was reached. on: number of samples on the value.
+    one_below,
     two_below: number of samples one and two steps below the value, as far as they are the largest
     values of their hops.
     """
@@ -56,8 +57,8 @@ class TopRows:
     are used.
 
     The sixth column is 1 if the samples with the extreme value are counted in `piles`, by value.
-    recent: (`TAIL_HOPS`,) ring buffer with the largest values of the last driving hops. hops: (1,)
-    number of driving hops.
+    recent: (`TAIL_HOPS`,) ring buffer with the largest values of the last driving hops (half a
+    second each). hops: (1,) number of driving hops.
     """
 
     def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
@@ -67,7 +68,7 @@ class TopRows:
 
     @property
     def recent(self) -> Sequence[float]:
-        """Largest values of the last driving hops."""
+        """Largest values of the last driving hops (half a second each)."""
         hops = int(self._hops[0])
         ring: list[float] = self._recent.tolist()
         at = hops % TAIL_HOPS
@@ -75,7 +76,7 @@ class TopRows:
 
     @property
     def newest(self) -> float:
-        """Largest value of the last driving hop."""
+        """Largest value of the last driving hop (half a second)."""
         return self._recent.item((int(self._hops[0]) - 1) % TAIL_HOPS)
 
     def _top(self, k: int) -> Top:
@@ -130,14 +131,14 @@ class AxisTops:
 
     @property
     def hops(self) -> int:
-        """Number of driving hops."""
+        """Number of driving hops (half a second each)."""
         return self._hops.item(0)
 
     def take_hops(
         self, at: AxisHops, hops: Index, begin: int, moving: Flags
     ) -> tuple[int, list[Top | None]]:
-        """Take hops from index `begin` on, up to the first hop whose largest values need further
-        tests.
+        """Process hops from index `begin` on, up to the first hop (half a second) whose largest
+        values need further tests.
 
         moving: flags of all hops. Returns the index of this hop and, for each side, the extreme to
         be tested. If no hop needs further tests, the index is that of the first hop that was not
@@ -210,11 +211,11 @@ def _drop_below(rows: Array, depth: Index, value: float) -> None:
 def _reach(
     rows: Array, depth: Index, value: float, on: float, step: float, hop: int
 ) -> tuple[bool, float]:
-    """Take a value as the latest extreme of a side. Stored extremes below this value are dropped.
+    """Store a value as the latest extreme of a side. Stored extremes below this value are dropped.
 
-    on: number of samples of the hop with this value. The first result is True if the value needs
-    further tests, because many samples have it or it was reached before. The second result is the
-    value whose pile was dropped for lack of room; NaN if there is none.
+    on: number of samples of the hop (half a second) with this value. The first result is True if
+    the value needs further tests, because many samples have it or it was reached before. The second
+    result is the value whose pile was dropped for lack of room; NaN if there is none.
     """
     n, one_below, two_below, lower = int(depth[0]), 0.0, 0.0, -math.inf
     while n:
@@ -251,21 +252,21 @@ LEAST_STEPS = 8
 """Smallest range of an axis in steps, from end to end. A signal with a smaller range has no
 tail."""
 SURPRISE = 18.5
-"""-log of the chance of the data without a rail, from which a rail is accepted [nats]: a chance of
-1e-8. Six axes with two ends have about 1e7 driving hops in 100 h.
+"""-log of the probability of the data without a rail, from which a rail is accepted [nats]: a
+chance of 1e-8. Six axes with two ends have about 1e7 driving hops (half a second each) in 100 h.
 """
 BOTH_ENDS = 4.0
 """Additional surprise that the sum of two surprises needs if both ends of the range are reached.
 The value follows from x + log(1 + x).
 """
 BROAD = 3
-"""Number of peaks in the tail, as a multiple of the peaks at the extreme. The scale of the tail is
-measured over these peaks."""
+"""Number of peaks that form the tail of the distribution, as a multiple of the number of peaks at
+the largest value. The scale of the tail is measured over these peaks."""
 UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
-"""Smallest and largest number of driving hops without contact after which a rail is dropped: one
-minute and five minutes. Between one and five minutes, a rail is dropped after `SURPRISE` times its
-usual pause. The chance that a true rail has so long a pause equals the chance of a false rail. One
-minute of driving is enough to know the tail of the values.
+"""Smallest and largest number of driving hops (half a second each) without contact after which a
+rail is dropped: one minute and five minutes. Between one and five minutes, a rail is dropped after
+`SURPRISE` times its usual pause. The probability that a true rail has so long a pause equals the
+chance of a false rail. One minute of driving is enough to know the tail of the values.
 """
 USUAL_CHANGE = 4.0
 """Largest change with which an axis leaves a rail, as a multiple of its mean change from sample to
@@ -280,7 +281,7 @@ class Rail:
     samples stay there while other axes move. On a rail, such peaks and stays are usual. Every value
     that no later value has exceeded is watched, so that a value reached before the rail existed
     does not hide the rail. Only driving counts. The rail is dropped when a value lies beyond it, or
-    when driving no longer reaches it. surprise: -log of the chance of the data without a rail
+    when driving no longer reaches it. surprise: -log of the probability of the data without a rail
     [nats]. A stay is counted only when it has ended. A stuck axis is not a rail, and its stay
     counts as one arrival.
     value: value to which the surprise belongs. least: surprise from which the value is a rail.
@@ -300,7 +301,10 @@ class Rail:
         return self._rail
 
     def go_on(self, at: AxisHops, h: int, moving: bool) -> None:
-        """Update the rail with hop h. The rail is dropped if a value lies beyond it."""
+        """Update the rail with hop h (half a second).
+
+        The rail is dropped if a value lies beyond it.
+        """
         value = at.tops[self._side][h]
         if self.found:
             half = 0.5 * at.smallest_change[h]
@@ -316,12 +320,12 @@ class Rail:
             self.surprise, self.value = 0.0, math.inf
 
     def stand(self, at: AxisHops, h: int) -> None:
-        """Take hop h, in which the vehicle stands or the axis is stuck."""
+        """Process hop h (half a second), in which the vehicle stands or the axis is stuck."""
         self._tops.drop_below(at.tops[self._side][h])
 
     @property
     def recent(self) -> Sequence[float]:
-        """Largest values of the last driving hops."""
+        """Largest values of the last driving hops (half a second each)."""
         return self._tops.recent
 
     @property
@@ -331,8 +335,10 @@ class Rail:
 
     @property
     def is_clear(self) -> bool:
-        """True if there is no evidence of a rail. The next hops can then be taken together by
-        `AxisTops.take_hops`."""
+        """True if there is no evidence of a rail.
+
+        The next hops (half a second each) can then be processed together by `AxisTops.take_hops`.
+        """
         return not (self._changed or self.found) and self.value == math.inf
 
     def stick(self, value: float) -> None:
@@ -354,7 +360,7 @@ class Rail:
         return len(recent) >= LEAST_TAIL_HOPS and left_by > 0.0 and value >= max(recent)
 
     def weigh(self, at: AxisHops, h: int) -> None:
-        """Choose the most likely rail among the watched values, after hop h."""
+        """Choose the most likely rail among the watched values, after hop h (half a second)."""
         last = float(at.rows.samples[self._axis, at.rows.edges[h + 1] - 1])
         now = last if self._side == 0 else -last
         # Once the value is left, nothing changes before the next arrival.
@@ -383,8 +389,8 @@ class Rail:
     def _touch(self, pause: int, touches: int = 1) -> None:
         """Note that the value is reached again.
 
-        pause: number of driving hops since the last arrivals. touches: number of arrivals in this
-        time.
+        pause: number of driving hops (half a second each) since the last arrivals. touches: number
+        of arrivals in this time.
         """
         self._pauses += pause
         self._touches += touches
@@ -413,7 +419,7 @@ class Rail:
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
     def pile_up(self, top: Top, at: AxisHops, h: int, hop: int) -> None:
-        """Count the samples of hop h that have the value `top`."""
+        """Count the samples of hop h (half a second) that have the value `top`."""
         self._changed = True
         pile = self._tops.piles.get(top.value)
         if pile is None:
@@ -433,7 +439,7 @@ class Rail:
                 pile.met += self._coincidence(top, at.smallest_change[h], hop)
 
     def _coincidence(self, top: Top, step: float, hop: int) -> float:
-        """Return -log of the chance that one more peak of the tail falls into the same step
+        """Return -log of the probability that one more peak of the tail falls into the same step
         [nats]."""
         n = min(hop - top.born + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
@@ -464,7 +470,7 @@ class AxisRails:
         return self._high.last, -self._low.last
 
     def take_hop(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
-        """Take hop h, which has samples. Returns whether the axis is on a rail.
+        """Process hop h (half a second), which has samples. Returns whether the axis is on a rail.
 
         stuck: True if the axis was stuck when the hop began. Such a hop is no evidence about rails.
         """
@@ -485,7 +491,8 @@ class AxisRails:
         return self._weigh(at, h, high.changed, low.changed)
 
     def take_hops(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
-        """Do the same as `take_hop` for hops with samples, if the axis is stuck in none of them.
+        """Do the same as `take_hop` for hops (half a second each) with samples, if the axis is
+        stuck in none of them.
 
         moving: (H,) flags of all hops of the rows. This function is fast if the values of most hops
         are below values that were reached before.
@@ -511,13 +518,13 @@ class AxisRails:
         return found
 
     def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
-        """Count the samples of hop h, a driving hop, that have the values `tops`."""
+        """Count the samples with the values `tops` in the driving hop h (half a second)."""
         for rail, top in zip((self._high, self._low), tops, strict=True):
             if top is not None:
                 rail.pile_up(top, at, h, self._tops.hops - 1)
 
     def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
-        """Return whether the axis is on a rail after hop h.
+        """Return whether the axis is on a rail after hop h (half a second).
 
         is_high, is_low: True for a side that must be tested again.
         """

@@ -41,7 +41,7 @@ def recorded_health(
     SI.
 
     speed: times [s] and values [m/s] of the vehicle's speed. chance: accepted probability of one
-    false finding among all axes and hops of the recording.
+    false finding among all axes and hops (half a second each) of the recording.
     """
     table = values.reshape(len(t), -1)
     hop = np.floor(t * TICK_RATE).astype(np.int64) // HOP_TICKS

@@ -53,14 +53,14 @@ AXES = "xyz"
 _UNITS = {"gyro": DEG_PER_RAD}
 
 _More = tuple[Array, NDArray[np.int64]]
-"""Samples and the hop of each sample."""
+"""Samples and the hop (half a second) of each sample."""
 
 
 class AxisJudges:
     """The tests of one axis for faults.
 
-    noise: see `StuckAxis`. surprises: two limits of -log of the chance of the data without a fault
-    [nats], the first for a stuck run, the second for a rail.
+    noise: see `StuckAxis`. surprises: two limits of -log of the probability of the data without a
+    fault [nats], the first for a stuck run, the second for a rail.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class AxisJudges:
     def judge(
         self, rows: HopRows, entries: Array, moving: Flags
     ) -> tuple[list[bool], list[bool], list[bool]]:
-        """Return three flags for each hop.
+        """Return three flags for each hop (half a second).
 
         The first flag is True if the axis is stuck at the end of the hop. The second flag is True
         if a run between two jumps ended in the hop. The third flag is True if the axis is on a rail
@@ -116,8 +116,8 @@ class AxisJudges:
 
 
 class _Sensor(FaultsInForce):
-    """One sensor: its samples of the open hop, the tests of its axes, and the faults that were
-    found."""
+    """One sensor: its samples of the open hop (half a second), the tests of its axes, and the
+    faults that were found."""
 
     def __init__(self, channel: str, axes: int, events: deque[FaultEvent]) -> None:
         super().__init__(channel, events)
@@ -139,8 +139,8 @@ class _Sensor(FaultsInForce):
     def rows(self, hops: int, more: _More | None) -> HopRows | None:
         """Return the statistics of this many hops, or None without samples.
 
-        The samples are the pending samples, which belong to the first hop, and the new samples
-        `more`.
+        The samples are the pending samples, which belong to the first hop (half a second), and the
+        new samples `more`.
         """
         pending, self.pending = self.pending, []
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
@@ -154,7 +154,7 @@ class _Sensor(FaultsInForce):
     def judge(
         self, rows: HopRows, moving: Flags, other: Array
     ) -> list[dict[SignalFault, str] | None]:
-        """Return the faults found in each hop; None for a hop without samples."""
+        """Return the faults found in each hop (half a second); None for a hop without samples."""
         wild = np.zeros(len(moving), dtype=bool)
         some = rows.count > 0
         if self.axes == 3 and self.channel == "accel":
@@ -232,7 +232,7 @@ class SampleHealth:
     # live ----------------------------------------------------------------------------------
 
     def add_sample(self, channel: str, values: Sequence[float]) -> None:
-        """Take a sample of the open hop, as the sensor sent it."""
+        """Process a sample of the open hop (half a second), as the sensor sent it."""
         sensor = self._sensors.get(channel)
         if sensor is not None:
             sensor.pending.append(values)
@@ -260,7 +260,7 @@ class SampleHealth:
     # columns -------------------------------------------------------------------------------
 
     def columns(self, samples: Samples, first: int, last: int) -> list[Mapping[str, Faults]]:
-        """Take all samples of ticks `first` to `last`. Tick `last` may get more samples later.
+        """Process all samples of ticks `first` to `last`. Tick `last` may get more samples later.
 
         Returns the faults at the end of each complete hop (half a second).
         """
@@ -295,9 +295,9 @@ class SampleHealth:
     ) -> list[Mapping[str, Faults]]:
         """Find the faults in hops `first`, `first` + 1, and so on.
 
-        speeds: last received speed of each hop [m/s], None without a speed; there are as many hops
-        as speeds. more: samples of channels with their hops, counted from `first`. The samples in
-        `more` are used after the pending samples.
+        speeds: last received speed of each hop (half a second) [m/s], None without a speed; there
+        are as many hops as speeds. more: samples of channels with their hops, counted from `first`.
+        The samples in `more` are used after the pending samples.
         """
         moves = [self._is_moving(speed) for speed in speeds]
         moving = np.array(moves)
@@ -320,7 +320,9 @@ class SampleHealth:
         return out
 
     def _is_moving(self, speed: float | None) -> bool:
-        """Return whether the vehicle moved during the whole hop according to the speeds."""
+        """Return whether the vehicle moved during the whole hop (half a second) according to the
+        speeds.
+        """
         self._speed_age += 1
         if speed is not None:
             self._speed, self._speed_age = speed, 0
@@ -335,8 +337,8 @@ class SampleHealth:
         return {**self.faults, **self.signals} if self.signals else self.faults
 
     def take_signals(self, stuck: Mapping[str, bool], now: float) -> None:
-        """Take a flag for each vehicle signal: whether it was stuck in the block that ends at `now`
-        [s]."""
+        """Store a flag for each vehicle signal: whether it was stuck in the block that ends at
+        `now` [s]."""
         passed, self._signals_at = now - self._signals_at, now
         for channel, is_stuck in stuck.items():
             signal = self._signals.setdefault(channel, FaultsInForce(channel, self.events))
@@ -358,7 +360,7 @@ class SampleHealth:
         }
 
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
-        """Update a sensor's faults after a hop."""
+        """Update a sensor's faults after a hop (half a second)."""
         sensor.go_on(found, now, HOP_S)
         others = {c: f for c, f in self.faults.items() if c != sensor.channel}
         self.faults = {**others, sensor.channel: sensor.faults} if sensor.faults else others
@@ -373,5 +375,5 @@ def _change_of_all(rows: HopRows) -> Array:
 
 
 def _hop_of(series: Series, first: int) -> NDArray[np.int64]:
-    """Return the hop of each sample, counted from `first`."""
+    """Return the hop (half a second) of each sample, counted from `first`."""
     return np.floor(series.t * TICK_RATE).astype(np.int64) // HOP_TICKS - first

@@ -1,4 +1,4 @@
-"""Tests of a sensor's samples: one test for each kind of fault, hop by hop.
+"""Tests of a sensor's samples: one test for each kind of fault, hop by hop (half a second each).
 
 Each test learns the usual behaviour from the sensor itself. A test decides whether the fault is
 present now. `sample_health` decides how long the fault lasts.
@@ -18,8 +18,8 @@ from imucald.motion.physical_limits import ROAD_FORCE
 Counts = NDArray[np.int64]
 
 SURPRISE = 25.0
-"""-log of the chance of the data without a fault, from which a fault is accepted [nats]: a chance
-of 1e-11. Six axes have about 1e8 runs in 100 h.
+"""-log of the probability of the data without a fault, from which a fault is accepted [nats]: a
+chance of 1e-11. Six axes have about 1e8 runs in 100 h.
 """
 SHORTEST_HOPS = 2
 """Shortest stuck run in whole hops (1 s). Senders repeat a value if the next value is late."""
@@ -48,7 +48,7 @@ this is more than half a turn.
 """
 UNIT_HOPS = 5
 """Number of hops in a comparison. Two hops are compared with two earlier hops, and the unit may
-have changed in the hop between them."""
+have changed in the hop (half a second) between them."""
 UNIT_LEEWAY = 2.2
 """Tolerance of the noise measured in a second, as a factor: a factor of 1.3 with 10 samples, and
 the effect of the road.
@@ -82,7 +82,7 @@ class Runs:
         self.count = self.longest = self._samples = 0
 
     def add_runs(self, count: int, longest: int, samples: int) -> None:
-        """Take a number of runs that ended, the length of the longest of them, and the number of
+        """Add the number of runs that ended, the length of the longest of them, and the number of
         their samples.
 
         A sensor's first sample ends an empty run. An empty run does not count.
@@ -95,13 +95,13 @@ class Runs:
         self._samples += samples
 
     def rate(self) -> float:
-        """Return -log of the chance that a run continues for one more sample [nats]; 0: not
+        """Return -log of the probability that a run continues for one more sample [nats]; 0: not
         known."""
         return rate_of(self.count, self.longest)
 
     def limit(self, surprise: float = SURPRISE) -> float:
-        """Return the length [samples] above which a run is stuck. surprise: -log of the chance of a
-        run of this length [nats]."""
+        """Return the length [samples] above which a run is stuck. surprise: -log of the probability
+        of a run of this length [nats]."""
         rate = self.rate()
         if rate == 0.0:
             return math.inf
@@ -125,8 +125,8 @@ class StuckAxis:
     A run of equal values is compared with earlier runs, at rest and in motion separately. At rest
     with the engine off, only the sensor's noise changes a value. At rest, the test therefore needs
     an axis whose step is finer than its noise. noise: noise of a usual sensor of this kind, in SI
-    units per root of hertz; 0: no test at rest. surprise: -log of the chance of a stuck run without
-    a fault [nats].
+    units per root of hertz; 0: no test at rest. surprise: -log of the probability of a stuck run
+    without a fault [nats].
     """
 
     def __init__(self, noise: float, surprise: float = SURPRISE) -> None:
@@ -149,7 +149,7 @@ class StuckAxis:
     def take_hop(
         self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool
     ) -> bool:
-        """Take a hop. Returns whether the axis is stuck at the end of the hop.
+        """Process a hop (half a second). Returns whether the axis is stuck at the end of the hop.
 
         runs, q: count, ended, longest, run and step of the axis, as in `HopRows`. jumped: the
         longest run lies between jumps and is not usual.
@@ -192,14 +192,15 @@ class StuckAxis:
 
 
 class Lasting:
-    """Detects that a condition has lasted for a number of hops in a row."""
+    """Detects that a condition has lasted for a number of hops (half a second each) in a row."""
 
     def __init__(self, hops: int) -> None:
         self._hops, self._run = hops, 0
 
     def take_hops(self, flags: Flags) -> Flags:
-        """Take hops (H,). Returns flags of the hops at which the condition has lasted long
-        enough."""
+        """Process hops (H,), half a second each.
+
+        Returns flags of the hops at which the condition has lasted long enough."""
         if not flags.any():
             self._run = 0
             return flags
@@ -211,14 +212,14 @@ class Lasting:
 
 
 def unlike_gravity(mean: Array) -> Flags:
-    """Return flags (H,) of the mean forces (H, 3) whose size no drive keeps for long."""
+    """Return flags (H,) of the mean forces (H, 3) whose magnitude no drive keeps for long."""
     low, high = ROAD_FORCE
     size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
     return np.asarray((size2 < low * low) | (size2 > high * high))
 
 
 def turning_wildly(mean: Array) -> Flags:
-    """Return flags (H,) of the mean rates (H, 3) whose size no vehicle keeps for long."""
+    """Return flags (H,) of the mean rates (H, 3) whose magnitude no vehicle keeps for long."""
     size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
     return np.asarray(size2 > MAX_RATE * MAX_RATE)
 
@@ -246,7 +247,8 @@ class UnitChange:
         self._before = tuple(np.zeros((UNIT_HOPS - 1, n)) for n in (self._axes, self._axes, 2, 1))
 
     def take_hops(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
-        """Take the mean changes from sample to sample of hops (H, axes), and the number of changes.
+        """Process the mean changes from sample to sample of hops (H, axes), half a second each,
+        and the number of changes.
 
         other: (H, 2) mean change and number of changes of the other sensor, 0 if there is no other
         sensor. moving: (H,) True if the vehicle moved during the whole hop. Returns flags (H,):
@@ -290,8 +292,9 @@ class UnitChange:
         return out
 
     def _hold_against_usual(self, size: float) -> None:
-        """Take the noise of a driving hop, or 0 for a hop without driving. End the fault if the
-        noise is again as before.
+        """Process the noise of a driving hop (half a second), or 0 for a hop without driving.
+
+        End the fault if the noise is again as before.
         """
         if not self._changed:
             self._usual.add_size(size)
@@ -312,31 +315,33 @@ class _MeanLog:
         self.count, self.mean = 0, 0.0
 
     def add_size(self, size: float) -> None:
-        """Take a size. A size of 0 is ignored."""
+        """Add a size to the mean. A size of 0 is ignored."""
         if size > 0.0:
             self.count += 1
             self.mean += (math.log(size) - self.mean) / self.count
 
 
 def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
-    """Return two flags for each hop: whether every axis changed often enough in two hops, and in
-    two later hops. There is one hop between the two pairs.
+    """Return two flags for each hop (half a second): whether every axis changed often enough in two
+    hops, and in two later hops. There is one hop between the two pairs.
     """
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
     return np.all(early >= least, axis=1), np.all(late >= least, axis=1)
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
-    """Return the smallest and largest flag of every five hops. Both flags are 1 if the vehicle
-    moved in all five hops.
+    """Return the smallest and largest of the flags `moving` in every five hops (half a second
+    each).
+
+    Both flags are 1 if the vehicle moved in all five hops.
     """
     five = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
     return five.min(axis=1), five.max(axis=1)
 
 
 def _ratio(level: Array) -> Array:
-    """Return the ratio of two hops to two earlier hops, with one hop between the pairs; 0 if the
-    earlier level is 0.
+    """Return the ratio of two hops to two earlier hops, with one hop (half a second) between the
+    pairs; 0 if the earlier level is 0.
     """
     early = level[:-4] + level[1:-3]
     late = level[3:-1] + level[4:]

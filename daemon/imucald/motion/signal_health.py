@@ -129,7 +129,7 @@ class SignalHealth:
         stuck."""
 
     def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
-        """Take over the usual repeat times of these channels from another object."""
+        """Copy the usual repeat times of these channels from another object."""
         for channel, signal in self._signals.items():
             if channel in channels:
                 signal.take_usual(former._signals[channel])
@@ -187,13 +187,13 @@ class SignalHealth:
         return self._note_stuck("yaw_rate", flags)
 
     def sensor_moves(self, signal: str) -> None:
-        """Take new ticks in which "accel" or "gyro" is not stuck, because its mean never
+        """Process new ticks in which "accel" or "gyro" is not stuck, because its mean never
         repeats."""
         self._sensors[signal].restart()
         self.found.pop((signal, SignalFault.STUCK), None)
 
     def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
-        """Take new ticks in which "speed" or "yaw_rate" has short runs only. Returns False if
+        """Process new ticks in which "speed" or "yaw_rate" has short runs only. Returns False if
         `flags` must test these ticks.
 
         The arguments are those of `StuckSignal.take_short_runs`. No speed may be zero.
@@ -252,7 +252,7 @@ class SignalHealth:
         return [not one for one in any_fault.tolist()]
 
     def are_trusted(self) -> None:
-        """Take new ticks in which `untrusted` finds no fault."""
+        """Process new ticks in which `untrusted` finds no fault."""
         for key in [key for key in self.found if key[1] is not SignalFault.STUCK]:
             del self.found[key]
 

@@ -80,14 +80,17 @@ class SpeedIntervalMaker:
         self._speed_seen = -math.inf
 
     def add_speed(self, t: float, speed: float) -> None:
-        """Take a signed speed sample [m/s] with the stream time t [s]."""
+        """Process a signed speed sample [m/s] with the stream time t [s]."""
         self._pending.append((t - self._delay, speed))
         self._speed_seen = t
 
     def take_tick(
         self, t: float, fx: float, fy: float, fz: float, yaw_rate: float, clean: bool
     ) -> SpeedInterval | None:
-        """Take the tick that ends at t [s]. Returns an interval that is now complete, or None."""
+        """Process the tick that ends at t [s].
+
+        Returns an interval that is now complete, or None.
+        """
         _, x, y, z, yaw, bad, unknown = self._last
         known = not math.isnan(yaw_rate)
         last = self._last = _Sums(

@@ -60,7 +60,7 @@ PARKED_GRAVITY = 0.1
 """Limits of a parked vehicle for the attitude, with the samples of one second.
 
 The first limit is the standard deviation of the force, all axes together [m/s^2]. The second limit
-is the difference between the size of the mean force and gravity [m/s^2].
+is the difference between the magnitude of the mean force and gravity [m/s^2].
 """
 IDLE_FORCE = 0.25
 IDLE_RATE = 0.05
@@ -111,7 +111,7 @@ def is_parked(force: Array, rate: Array | None) -> Flags:
 def feels_parked(variance: float, size: float) -> bool:
     """Return whether the force over a second is as still as in a parked vehicle.
 
-    variance: sum over all axes [(m/s^2)^2]. size: size of the mean force [m/s^2].
+    variance: sum over all axes [(m/s^2)^2]. size: magnitude of the mean force [m/s^2].
     """
     return variance < PARKED_SAMPLE_STD**2 and abs(size - GRAVITY) < PARKED_GRAVITY
 

@@ -67,7 +67,7 @@ class ZeroOffset:
         self._n = 0
 
     def add_value_at_rest(self, x: float) -> None:
-        """Take the signal's value at rest."""
+        """Process the signal's value at rest."""
         self._n = min(self._n + 1, OFFSET_MEMORY)
         self.value += (x - self.value) / self._n
 
@@ -115,7 +115,7 @@ class YawRateSource:
         speed: float,
         at_rest: bool,
     ) -> float:
-        """Take a tick and return the yaw rate [rad/s], or NaN.
+        """Process a tick and return the yaw rate [rad/s], or NaN.
 
         up: unit vector up in sensor axes. speed: [m/s] or NaN. at_rest: the vehicle stands now.
         """

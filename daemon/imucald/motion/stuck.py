@@ -254,7 +254,7 @@ class HeldForce:
         self._ticks = 0
 
     def take_tick(self, tick: TickRow, force: Vector) -> bool:
-        """Take a tick and its mean force. Returns whether the force is stuck, provided that the
+        """Process a tick and its mean force. Returns whether the force is stuck, provided that the
         vehicle moves."""
         same = force == self._force and tick[ACCEL.min_x] == tick[ACCEL.max_x]
         self._ticks = self._ticks + 1 if same else 0
@@ -366,7 +366,7 @@ class StuckSignal:
         self.restart()
 
     def take_usual(self, former: StuckSignal) -> None:
-        """Take over the ended runs of another object."""
+        """Copy the ended runs of another object."""
         self._ended = former._ended
 
     def restart(self) -> None:
@@ -431,7 +431,7 @@ class StuckSignal:
         return one_more(out)
 
     def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
-        """Take ticks in which the signal has short runs only, see `short_runs`.
+        """Process ticks in which the signal has short runs only, see `short_runs`.
 
         first: first value of the ticks. driven: (M,) number of driving ticks in each run. change:
         (M,) change of the value after each run. Returns False if the first run continues an earlier
@@ -444,8 +444,8 @@ class StuckSignal:
         return True
 
     def _limit(self) -> float:
-        """Return the length [ticks] above which a run may be stuck; infinite until the usual length
-        of runs is known.
+        """Return the length [ticks of 0.1 s] above which a run may be stuck; infinite until the
+        usual length of runs is known.
         """
         if not self._ended.known:
             return math.inf

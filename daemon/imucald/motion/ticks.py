@@ -26,7 +26,7 @@ rate.
 TICK_S = 1.0 / TICK_RATE
 
 TickRow = Sequence[float]
-"""One row of a tick. The columns below are its indices."""
+"""One row of a tick. The constants below are the indices of its values."""
 
 
 class SignalColumns(NamedTuple):

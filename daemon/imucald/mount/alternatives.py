@@ -36,8 +36,8 @@ from imucald.mount.stated_orientation import Stated, StatedOrientation
 RATE_FLOOR, FORCE_FLOOR = 0.01, 0.3
 """Smallest assumed noise of a rate [rad/s] and of a force [m/s^2]."""
 YOUNG = 24
-"""Number of blocks (150 s) up to which every new block makes all stored blocks count again, because
-the rotation still changes much.
+"""For this number of blocks (150 s), all stored blocks are evaluated again with each new block,
+because the rotation still changes much.
 """
 RARELY = 4
 """Interval of the examined blocks once all alternatives are ruled out: every fourth block."""
@@ -108,7 +108,7 @@ class Alternatives:
         self._forget_ways()
 
     def take_mount(self, R: Matrix3) -> None:
-        """Take the mount that a person states."""
+        """Use the mount that a person states."""
         self._stated.take_mount(R)
 
     def contradicted_orientation(self, R: Matrix3, yaw_known: bool) -> Stated | None:
@@ -124,7 +124,7 @@ class Alternatives:
         seen: set[str],
         steering_offset: float,
     ) -> None:
-        """Take the last of the kept blocks.
+        """Process the last of the stored blocks.
 
         R, bias, gains: present estimates. seen: names of the signals received so far.
         """
@@ -188,7 +188,7 @@ class Alternatives:
         steering_offset: float,
         ratios: Array | None,
     ) -> None:
-        """Take a block. ratios: log ratios of the gyroscope's axes; None: not computed yet."""
+        """Process a block. ratios: log ratios of the gyroscope's axes; None: not computed yet."""
         self._taken += 1
         use = p.learn & p.ok_speed
         force = (p.force - bias) @ R.T

@@ -16,7 +16,8 @@ from imucald.core.rotations import Matrix3, Vector, angles_from_rotation
 UNKNOWN_VARIANCE = 1.0
 """Variance of the rotation about z [rad^2] above which the forward direction counts as unknown."""
 LARGEST_CURVATURE = 0.1
-"""Largest value of the deviation of the tilt [rad] times tan(pitch).
+"""Largest product of the tilt's deviation [rad] and tan(pitch) at which roll and yaw count as
+known.
 
 This product is the relative change of 1 / cos(pitch) within one standard deviation. Above 0.1, a
 first-order calculation is too inaccurate: with sampled rotations, intervals of 95 % contained 91 %

@@ -1,7 +1,7 @@
 """Sums over the ticks of a block, and the yaw angle that a single block shows.
 
-`block_yaw` returns the angle by which the force of one block is turned against dv/dt and v r, and
-its information.
+`block_yaw` returns the angle by which the force of one block is turned against dv/dt and v r (speed
+times yaw rate), and its information.
 
 The direction of gravity is integrated with the gyroscope (`gravity_observer`) and gravity is
 subtracted, so the force contains no slopes. The delay of the speed is corrected. Where the speed is
@@ -26,7 +26,8 @@ from imucald.mount.signal_blocks import SignalBlock
 
 
 class BlockSums(NamedTuple):
-    """Sums over n ticks: force (3,) in sensor axes, dv/dt, v r [m/s^2], absolute speed [m/s].
+    """Sums over n ticks: force (3,) in sensor axes, dv/dt, v r (speed times yaw rate) [m/s^2],
+    absolute speed [m/s].
 
     fastest: largest absolute speed [m/s].
     """
@@ -122,10 +123,10 @@ the gyroscope was turned, or the speed was not the speed of the vehicle.
 class BlockMotion(Struct, frozen=True):
     """The force of a block and the motion with which the force is compared.
 
-    force: (N, 3) without gravity, in vehicle axes. accel, turn: (N,) dv/dt and v r, multiplied by
-    their gains. turn_rate: (N,) r [rad/s]. delay, delay_std: delay of the speed against the force
-    and its deviation [s]. knots: (K,) times at which the vehicle's speed was known [ticks since the
-    block began]; None: the speed was known in each tick.
+    force: (N, 3) without gravity, in vehicle axes. accel, turn: (N,) dv/dt and v r (speed times yaw
+    rate), multiplied by their gains. turn_rate: (N,) r [rad/s]. delay, delay_std: delay of the
+    speed against the force and its deviation [s]. knots: (K,) times at which the vehicle's speed
+    was known [ticks since the block began]; None: the speed was known in each tick.
     """
 
     force: Array
@@ -173,7 +174,7 @@ _PAIRS = np.array(
     ]
 )  # fmt: skip
 """Pairs of factors of the products. The factors are, in this order: force ahead, force to the left,
-dv/dt, v r, r^2, derivative of r, derivative of dv/dt.
+dv/dt, v r (speed times yaw rate), r^2, derivative of r, derivative of dv/dt.
 """
 
 

@@ -55,9 +55,10 @@ class CarriedForce:
 
     R: (3, 3) rotation from the sensor to axes whose z is the mean vertical of the roads driven; the
     lean of the vehicle on a crowned road is therefore still in R. R is None before there is any
-    evidence. gains: gains of the force relative to dv/dt and v r. bias: zero error of the
-    accelerometer in sensor axes [m/s^2]. is_sure: the cross-talk is known well enough to subtract
-    the motion from the force. lone: (N, 3) force of the last block without gravity, in sensor axes.
+    evidence. gains: gains of the force relative to dv/dt and v r (speed times yaw rate). bias: zero
+    error of the accelerometer in sensor axes [m/s^2]. is_sure: the cross-talk is known well enough
+    to subtract the motion from the force. lone: (N, 3) force of the last block without gravity, in
+    sensor axes.
     turn_rate: (N,) turn rate of the last block [rad/s]. own_gyro: True if the turn rate comes from
     the sensor's own gyroscope.
     """
@@ -90,7 +91,7 @@ class CarriedForce:
         self.vertical.restart()
 
     def follow(self, evidence: Evidence) -> bool:
-        """Take the present estimates of the evidence. Returns True if these estimates contain the
+        """Use the present estimates of the evidence. Returns True if these estimates contain the
         first rotation."""
         rotation, solution = evidence.rotation, evidence.solution
         if rotation is None:
@@ -107,7 +108,9 @@ class CarriedForce:
         return is_first
 
     def take_block(self, p: SignalBlock) -> tuple[Array, Array]:
-        """Take a block. Returns dv/dt and v r (N,), with zeros in the ticks that are not
+        """Process a block.
+
+        Returns dv/dt and v r (speed times yaw rate) (N,), with zeros in the ticks that are not
         trusted."""
         self.blocks += 1
         R = self.R

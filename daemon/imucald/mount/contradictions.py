@@ -3,14 +3,14 @@
 The estimator finds the rotation under which the sensor's signals fit the vehicle's signals best.
 With a wrong sign or unit, the best rotation is still wrong. Pairs of signals that must show the
 same motion are therefore compared all the time. The first pair is the gyroscope's turn rate and the
-turn rate from the vehicle's own signals. The second pair is v r and the force to the left, the
-third pair is dv/dt and the force ahead.
+turn rate from the vehicle's own signals. The second pair is v r (speed times yaw rate) and the
+force to the left, the third pair is dv/dt and the force ahead.
 
-The drive is divided into pieces. Each piece has a bend or a braking. For each piece and each pair
-of signals, the correlation and the gain are computed. Correct pairs have a correlation of 0.8 to 1
-in a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten pieces. The
-correlation of a correct pair is below `UNLIKE` in fewer than one of a hundred pieces. A false fault
-needs `TO_ACCUSE` such pieces among the last `REMEMBERED` pieces.
+The drive is divided into pieces. Each piece has a bend or a braking manoeuvre. For each piece and
+each pair of signals, the correlation and the gain are computed. Correct pairs have a correlation of
+0.8 to 1 in a piece. The correlation of two unrelated signals is below `UNLIKE` in nine of ten
+pieces. The correlation of a correct pair is below `UNLIKE` in fewer than one of a hundred pieces. A
+false fault needs `TO_ACCUSE` such pieces among the last `REMEMBERED` pieces.
 """
 
 from __future__ import annotations
@@ -58,14 +58,16 @@ MIN_TURNING = 0.25
 energy.
 """
 MIN_FORCE = 30.0
-"""Smallest energy of v r or dv/dt in a piece [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
+"""Smallest energy of v r (speed times yaw rate) or dv/dt in a piece [(m/s^2)^2 ticks]: 3 s at 1
+m/s^2.
+"""
 MAX_BLOCKS = 40
 """Number of blocks (4 min) after which a piece that is still incomplete starts again, because the
 noise is known only roughly.
 """
 TURNS, HARD_TURNS = 1.2, 2.0
-"""Sizes of v r [m/s^2] above which the force in turns is checked: the first limit for its sign, the
-second for its gain.
+"""Sizes of v r (speed times yaw rate) [m/s^2] above which the force in turns is checked: the first
+limit for its sign, the second for its gain.
 
 A bend with a superelevation of 8 % reduces the lateral force by 0.8 m/s^2 (AASHTO).
 """
@@ -139,7 +141,7 @@ WORDS = {
 
 
 _YAW_RATE, _STEERING, _FORCES = 1, 2, 4
-"""Bit of each pair that is checked in a block."""
+"""Bit flag for each pair of signals that is checked in a block."""
 
 
 class Piece(NamedTuple):
@@ -236,11 +238,11 @@ class PairWatch:
         return self._sums.centred() if self._has_zero else self._sums
 
     def add_signals(self, x: Array, y: Array, use: Flags) -> None:
-        """Take a block. x: (N,) the reliable signal. y: (N,) the signal that must follow x."""
+        """Process a block. x: (N,) the reliable signal. y: (N,) the signal that must follow x."""
         self.add_sums(pair_sums(x, y, use))
 
     def add_sums(self, sums: PairSums) -> None:
-        """Take the sums of a block."""
+        """Add the sums of a block."""
         if not sums.ticks:
             return
         self._sums = PairSums(*(a + b for a, b in zip(self._sums, sums, strict=True)))
@@ -279,7 +281,7 @@ class ReverseWatch:
         self._sound_blocks = 0
 
     def add_speed(self, speed: Array, ok: Flags) -> None:
-        """Take a block. speed: (N,) [m/s]. ok: (N,) True where the speed is known."""
+        """Process a block. speed: (N,) [m/s]. ok: (N,) True where the speed is known."""
         back = np.count_nonzero(ok & (speed < -MAX_REVERSE))
         if back >= LONG_REVERSE:
             self.accused, self._sound_blocks = True, 0
@@ -318,7 +320,7 @@ class Contradictions:
         measured_yaw_rate: bool,
         late: float | None = 0.0,
     ) -> None:
-        """Take a block. turn_rate: (N,) the yaw rate that the estimator uses [rad/s].
+        """Process a block. turn_rate: (N,) the yaw rate that the estimator uses [rad/s].
 
         late: delay of the speed against the force [s]. If the delay is None (unknown), the force is
         not checked.
@@ -424,7 +426,8 @@ def _sums_of_pairs(
     pair that is not checked has zeros.
 
     vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
-    [rad/s] that the rate itself does not show. late: delay of the speed against the force [ticks].
+    [rad/s] that the rate itself does not show. late: delay of the speed against the force [ticks of
+    0.1 s].
     """
     found = [PairSums()] * 5
     moving = p.ok_speed & (np.abs(p.speed) > MOVING)

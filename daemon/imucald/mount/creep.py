@@ -48,8 +48,9 @@ LATE = 0.5
 segment ago, and is reported until the next segment ends.
 """
 PRIOR_SEGMENTS = 6.0
-"""Weight, in segments, of the prior for the spread between segments. The prior is the variance that
-the source itself states."""
+"""Weight of the prior for the spread between segments: the prior counts as this number of segments.
+
+The prior is the variance that the source itself states."""
 HIDDEN = 0.4
 """Share of a drift that the segments may not show.
 
@@ -117,9 +118,9 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
     """Fit random walks and steady creep to the residuals of the series from their constants; None:
     too little data.
 
-    The stated variance of a series shows by which factor its information is too large. chance:
-    prior probability that the mount creeps, before any shift was found. shifts: number of shifts
-    found.
+    The information of a series is too large by the factor that follows from its stated variance.
+    chance: prior probability that the mount creeps, before any shift was found. shifts: number of
+    shifts found.
     """
     n = max((len(one.left) for one in series), default=0)
     if n < FEWEST:

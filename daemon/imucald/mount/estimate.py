@@ -320,7 +320,7 @@ class MountEstimator(Protocol):
         ...
 
     def step(self, tick: TickRow) -> None:
-        """Take one tick."""
+        """Process one tick."""
         ...
 
     def gap(self) -> None:
@@ -365,5 +365,5 @@ class KeepsTicks(Protocol):
         ...
 
     def keep_quiet(self, ticks: NDArray[np.float64]) -> None:
-        """Take ticks (n, COLUMNS). n must not be larger than `quiet_ticks`."""
+        """Process ticks (n, COLUMNS). n must not be larger than `quiet_ticks`."""
         ...

@@ -190,7 +190,7 @@ class JointEstimator:
         return self._signals.stuck
 
     def take_usual_signals(self, former: JointEstimator, channels: Collection[str]) -> None:
-        """Take over the usual repeat times of the vehicle's signals from another estimator.
+        """Copy the usual repeat times of the vehicle's signals from another estimator.
 
         channels: channels that have the same sources in both estimators. A signal that is stuck is
         left out.
@@ -200,7 +200,7 @@ class JointEstimator:
     # tick by tick ---------------------------------------------------------------------------
 
     def step(self, tick: TickRow) -> None:
-        """Take one tick."""
+        """Process one tick."""
         self._served.move_on()
         if self._signals.push(tick):
             self._signals.take_mount(self._known_mount())
@@ -216,7 +216,7 @@ class JointEstimator:
         return 0 if self._served.is_turning else self._signals.until_block - 1
 
     def keep_quiet(self, ticks: Array) -> None:
-        """Take ticks (n, COLUMNS), at most `quiet_ticks`."""
+        """Process ticks (n, COLUMNS), at most `quiet_ticks`."""
         self._signals.push_all(ticks)
 
     def gap(self) -> None:
@@ -485,7 +485,8 @@ class JointEstimator:
         """Return a sudden turn of the sensor that is certain. Begin the evidence again after a step
         of a zero error.
 
-        If it stays open which of the two has happened, new evidence decides.
+        If it is not certain whether the sensor turned or a zero error stepped, new evidence
+        decides.
         """
         evidence, self._is_gravity_open, self._instead = self._watched, False, -math.inf
         found = None if evidence is None else evidence.sudden_change()
@@ -594,7 +595,9 @@ class JointEstimator:
         self._forget_moves()
 
     def _began(self, blocks: list[SignalBlock], since: int) -> float:
-        """Return the time [s] at which the blocks after a move begin. since: as in `_filled`."""
+        """Return the time [s] at which the blocks after a move begin. since: number of blocks since
+        the move.
+        """
         began = float(blocks[0].t[0]) if blocks else self._now
         return min(began, self._now - since * BLOCK_S) if since > len(blocks) else began
 
@@ -821,7 +824,7 @@ class JointEstimator:
         return level[0], np.diag([*level[1], UNKNOWN_YAW])
 
     def take_stated_mount(self, R: Matrix3) -> None:
-        """Take the mount that a person states.
+        """Use the mount that a person states.
 
         If the estimate agrees with this mount, the statement excludes alternatives that no signal
         can exclude.

@@ -61,7 +61,7 @@ class GravityEvidence:
         self._resting = False
 
     def add_block(self, p: SignalBlock, turn: Array) -> None:
-        """Take a block. turn: (N,) v r [m/s^2]."""
+        """Process a block. turn: (N,) v r (speed times yaw rate) [m/s^2]."""
         sums = _sums(p, turn, self._stop_used)
         weight, x, y, z, accel, across, metres, used, resting, moving, each = sums
         if not used:
@@ -102,12 +102,12 @@ class GravityEvidence:
 
 def _sums(p: SignalBlock, turn: Array, stop_used: float) -> list[float]:
     """Return the sums of a block: the weight, the weighted force (3,), the weighted dv/dt and the
-    weighted v r.
+    weighted v r (speed times yaw rate).
 
     The list continues with the distance [m], the number of ticks in use, the number of ticks at
     rest, the number of moving ticks, and the distance that each tick at rest counts as [m].
 
-    turn: (N,) v r [m/s^2]. stop_used: distance that the present stop has counted as so far [m].
+    turn: (N,) v r [m/s^2]. stop_used: distance that was already counted for the present stop [m].
     """
     use = driven(p)
     sizes = np.abs(p.speed)

@@ -86,7 +86,7 @@ def mount_troubles(
     that moves.
 
     creeping: see `creep_details`. shifted: change of roll, pitch, yaw [rad] after repeated shifts,
-    else 0. level: change in the size of gravity, if the change is a fault.
+    else 0. level: change in the magnitude of gravity, if the change is a fault.
     """
     if state is MountState.FINE:
         return {}
@@ -209,7 +209,7 @@ def change_details(one: TakenChange, turn: tuple[Array, Array] | None) -> dict[s
 
 
 def level_details(change: LevelChange | None) -> dict[str, float] | None:
-    """Return the size of gravity [m/s^2] before and after a change of the accelerometer's zero
+    """Return the magnitude of gravity [m/s^2] before and after a change of the accelerometer's zero
     error or gain.
     """
     return None if change is None else {"before": change.before, "after": change.after}
@@ -263,7 +263,7 @@ class ProgressWatch:
         settings: EstimatorSettings,
         acceptance: Acceptance,
     ) -> None:
-        """Take the knowledge after a block that ended at t [s]."""
+        """Store the knowledge after a block that ended at t [s]."""
         shares: dict[MountState, Shares] = {
             goal: {
                 **_of_angles(known, settings, goal),

@@ -1,10 +1,10 @@
 """The vertical in sensor axes, and the force without gravity.
 
 The specific force is f_s = R^T m + g u + b, with u the vertical in sensor axes, m the motion
-(dv/dt, v r, -v q) and b the accelerometer's zero error. The vertical is integrated with the
-gyroscope, which works on any slope, and corrected slowly towards the force (`drive.vertical`). The
-remaining difference between the force and the motion comes from an error of the rate: the
-gyroscope's zero error may drift.
+(dv/dt, v r, -v q) and b the accelerometer's zero error. The vertical is
+integrated with the gyroscope, which works on any slope, and corrected slowly towards the force
+(`drive.vertical`). The remaining difference between the force and the motion comes from an error of
+the rate: the gyroscope's zero error may drift.
 """
 
 from __future__ import annotations

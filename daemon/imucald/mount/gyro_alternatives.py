@@ -1,10 +1,10 @@
 """Compare the axes and signs of the gyroscope with those of the accelerometer.
 
 With a known mount R, the rates (p, q, r) predict the changes of the level components t = f / g of
-the vertical: dt_x = -q + r t_y and dt_y = p - r t_x. The motion is subtracted from f, and v r in
-the motion also depends on r. If a sign is wrong, or two axes of a sensor are exchanged, the rates S
-w fit instead of the measured rates w, with a signed permutation S. On any road, slopes show the
-right S within one or two minutes.
+the vertical: dt_x = -q + r t_y and dt_y = p - r t_x. The motion is subtracted from f, and v r
+(speed times yaw rate) in the motion also depends on r. If a sign is wrong, or two axes of a sensor
+are exchanged, the rates S w fit instead of the measured rates w, with a signed permutation S. On
+any road, slopes show the right S within one or two minutes.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ class GyroAlternatives:
         self.blocks = 0
 
     def add_ratios(self, ratios: Array) -> None:
-        """Take the log ratios (13,) of a block (`gyro_ratios`)."""
+        """Add the log ratios (13,) of a block (`gyro_ratios`)."""
         self._sums = _held(self._sums + _held(ratios, -MOST, MOST), -HELD, HELD)
         self.blocks += 1
 
     def add_late(self, ratios: Array) -> None:
-        """Take the log ratios of a block for faults that begin in the middle of a drive."""
+        """Add the log ratios of a block for faults that begin in the middle of a drive."""
         held = _held(ratios, -MOST_OF_LATE, MOST_OF_LATE)
         self._late = _held(self._late + held, -HELD, 0.0)
 
@@ -110,7 +110,8 @@ def gyro_ratios(
     """Return the log likelihood ratios (13,) of a block: the configured axes against each
     alternative.
 
-    ahead, across: level components of the force divided by g (N,); dv/dt is subtracted, v r is not.
+    ahead, across: level components of the force divided by g (N,); dv/dt is subtracted, v r (speed
+    times yaw rate) is not.
     rate: (N, 3) in sensor axes [rad/s]. speed: (N,) [m/s]. gain: gain of v r.
     """
     return ratios_of(gyro_energies(ahead, across, rate, speed, R, gain))

@@ -74,7 +74,7 @@ class Witness(Struct, frozen=True):
 
 
 DEVIATIONS = 6.0
-"""Number of standard deviations above which a rotation counts. The chance is 2e-9 for a normal
+"""Number of standard deviations above which a rotation counts. The probability is 2e-9 for a normal
 variable, two-sided."""
 YAW_RATE = Witness(math.radians(3.0), 0.1)
 """Yaw rate of the vehicle. Offsets of 0.3 deg/s in both signals cause a difference of 1.2 deg in 2
@@ -98,7 +98,7 @@ class TurnedAlone:
     def take_rates(
         self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE
     ) -> float:
-        """Take a block (N,) [rad/s]. Returns the angle by which the sensor turned without the
+        """Process a block (N,) [rad/s]. Returns the angle by which the sensor turned without the
         vehicle [rad], or 0.
         """
         found = self._alone(turn_rate, vehicle, ok, by)
@@ -259,10 +259,11 @@ class LargeChangeDetector:
         has_speed: bool,
         has_reverse: bool,
     ) -> None:
-        """Take a block and its motion.
+        """Process a block and its motion.
 
         use: (N,) flags of the ticks that count. sums: sums over these ticks. R: present rotation.
-        gains: gains of dv/dt and v r. has_reverse: True if there is a reverse signal.
+        gains: gains of dv/dt and v r (speed times yaw rate). has_reverse: True if there is a
+        reverse signal.
         """
         if self._R is not None and R is not self._R:
             moved = vector_from_rotation(R @ self._R.T)

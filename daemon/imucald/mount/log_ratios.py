@@ -71,7 +71,7 @@ class Mirrored:
         self.sum, self.blocks = 0.0, 0
 
     def add_signals(self, x: Array, y: Array, use: Flags) -> None:
-        """Take the two signals (N,) of a block."""
+        """Process the two signals (N,) of a block."""
         if np.count_nonzero(use) < LEAST_TICKS:
             return
         sums = pair_sums(x, y, use).centred()

@@ -29,8 +29,8 @@ correct.
 """
 ONE_TURNED = {"yaw_rate": 0.07, "steering_wheel_angle": 0.33, "lateral_acceleration": 0.2}
 """Fraction of the signals that are positive to the right. In opendbc's databases, a negative factor
-inverts 1 of 27 yaw rates and 15 of 46 steering angles (of few makers). The value of the lateral
-acceleration is assumed.
+inverts 1 of 27 yaw rates and 15 of 46 steering angles (of few makers). The fraction of the lateral
+accelerations is an assumption.
 """
 ALL_TURNED = 0.05
 """Assumed fraction of the vehicles in which all these signals are positive to the right (axes of

@@ -135,7 +135,7 @@ class MountChanges:
         return change
 
     def take_block(self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker) -> None:
-        """Take a block, and compare it with earlier and later blocks."""
+        """Process a block, and compare it with earlier and later blocks."""
         assert carried.R is not None
         has = not signals.without_speed, "reverse" in signals.seen
         use = driven(p)
@@ -162,7 +162,7 @@ class MountChanges:
         return math.isfinite(std) and abs(found.size) <= max(ALERT_LIMIT, ALERT_DEVIATIONS * std)
 
     def bear(self, found: MountChange, block: int, std: float, good: GoodMount | None) -> bool:
-        """Take a change that misleads no consumer. Returns True if the change is new.
+        """Register a change that misleads no consumer. Returns True if the change is new.
 
         std: stated deviation of the changed angle [rad]. good: good mount before the change.
         """
@@ -177,7 +177,7 @@ class MountChanges:
     def note_change(
         self, found: MountChange, block: int, std: float, good: GoodMount | None
     ) -> None:
-        """Take a change after which the mount is searched again. good: good mount before the
+        """Register a change after which the mount is searched again. good: good mount before the
         change."""
         self.history.append(TakenChange(block, found, std, before=good))
         self._open = self.history[-1]

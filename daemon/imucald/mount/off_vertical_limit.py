@@ -68,7 +68,7 @@ class PlumbLine:
         self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
     def take_tick(self, tick: TickRow, correction: Correction | None) -> None:
-        """Take a tick and the correction that is applied to the tick."""
+        """Process a tick and the correction that is applied to the tick."""
         if tick[SPEED.n]:
             standing = abs(tick[SPEED.mean]) < ZERO_SPEED
             if standing is not self._standing:

@@ -63,7 +63,7 @@ class Offsets:
         self._begin_to_guess()
 
     def learn_gyro(self, rate: Array, force: Array) -> None:
-        """Take raw rates (n, 3) and forces (n, 3) at rest."""
+        """Process raw rates (n, 3) and forces (n, 3) at rest."""
         n = len(rate)
         if n < MIN_TICKS:
             return
@@ -76,7 +76,7 @@ class Offsets:
         self.gyro_bias = self.gyro_bias + (mean - self.gyro_bias) * (n / self.gyro_ticks)
 
     def learn_yaw_rate(self, yaw_rate: Array) -> None:
-        """Take raw yaw rates of the vehicle (n,) at rest."""
+        """Process raw yaw rates of the vehicle (n,) at rest."""
         n = len(yaw_rate)
         if n < MIN_TICKS:
             return

@@ -103,7 +103,7 @@ class TakesStatedMount(Protocol):
     """Interface of an estimator that uses a person's statement about the mount."""
 
     def take_stated_mount(self, R: Matrix3) -> None:
-        """Take R_vehicle_from_sensor as a person states it."""
+        """Use the mount R_vehicle_from_sensor (3, 3) that a person states."""
         ...
 
 
@@ -146,7 +146,7 @@ class Contradicted(Struct, frozen=True):
 
 
 class Phase(enum.StrEnum):
-    """The mount in use, and the reason."""
+    """Which mount is in use: the stored mount, or the new estimate, and why."""
 
     RESTORED = "restored"  # the stored mount; no evidence against or for it
     CONFIRMED = "confirmed"  # the stored mount; new evidence agrees
@@ -227,7 +227,7 @@ class RestoredEstimator:
         return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
 
     def step(self, tick: TickRow) -> None:
-        """Take one tick."""
+        """Process one tick."""
         self.inner.step(tick)
         if self.phase is Phase.HANDING_OVER:
             self._follow()

@@ -62,8 +62,9 @@ NEIGHBOUR_TICKS = 2
 """Number of ticks before and after a stuck tick that also have no value or no slope."""
 YAW_GAP = 0.5
 NOMINAL_SPEED = 12.0
-"""Speed [m/s] that is used for v r if there is no speed signal. The gain of v r is then
-estimated."""
+"""Speed [m/s] that is used for v r (speed times yaw rate) if there is no speed signal.
+
+The gain of v r is then estimated."""
 DRIFT, DRIFT_NO_GYRO = 0.3, 1.0
 """Lasting error of the forward force [m/s^2]. First value: the vertical is integrated with a
 gyroscope. Second value: there is no gyroscope, and roads have slopes up to 10 %.
@@ -145,7 +146,7 @@ class SignalBlockMaker:
         """True or False for each vehicle signal: whether any tick of the last block was stuck."""
 
     def take_mount(self, known: MountSoFar | None) -> None:
-        """Take the mount at the end of the last block; None: the mount is not known well enough."""
+        """Use the mount at the end of the last block; None: the mount is not known well enough."""
         self._mount = known
 
     @property
@@ -154,7 +155,10 @@ class SignalBlockMaker:
         return self.blocks > BLOCKS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:
-        """Take a tick. Returns True when a block is complete. The caller must then call `block`."""
+        """Process a tick.
+
+        Returns True when a block is complete. The caller must then call `block`.
+        """
         self._rows[self._n] = tick
         self._n += 1
         return self._n == ROWS
@@ -165,7 +169,7 @@ class SignalBlockMaker:
         return ROWS - self._n
 
     def push_all(self, ticks: Array) -> None:
-        """Take ticks (n, COLUMNS). n must be smaller than `until_block`."""
+        """Process ticks (n, COLUMNS). n must be smaller than `until_block`."""
         self._rows[self._n : self._n + len(ticks)] = ticks
         self._n += len(ticks)
 
@@ -311,7 +315,7 @@ class SignalBlockMaker:
 
     def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
         """Return the force (N + 2, 3), flags of the known values, and whether the force equals the
-        force in `even`."""
+        precomputed force in `even`."""
         stuck = self._stuck_sensor("accel", even is None or even.force_repeats)
         if even is not None and stuck is None:
             return even.force, even.ok_force, True

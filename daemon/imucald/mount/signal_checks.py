@@ -66,7 +66,7 @@ class SignalChecks:
         kept: Sequence[SignalBlock],
         fits_no_sensor: bool = False,
     ) -> bool:
-        """Take a block. Returns True if the rotation must be searched again, from this block on.
+        """Process a block. Returns True if the rotation must be searched again, from this block on.
 
         carried: has already taken the block. signals: the maker of the block. kept: the last
         blocks. fits_no_sensor: no rotation of any sensor fits the evidence.
@@ -99,7 +99,7 @@ class SignalChecks:
 
     @property
     def is_motion_accused(self) -> bool:
-        """True if the force contradicts dv/dt or v r now.
+        """True if the force contradicts dv/dt or v r (speed times yaw rate) now.
 
         In this state, the signals are no evidence of the mount or of a move.
         """
@@ -135,8 +135,9 @@ class SignalChecks:
         self._alternatives.restart()
 
     def take_mount(self, R: Matrix3) -> None:
-        """Take R_vehicle_from_sensor (3, 3) as a person states it. The statement can rule out the
-        mirror image of the drive.
+        """Use the mount R_vehicle_from_sensor (3, 3) that a person states.
+
+        The statement can rule out the mirror image of the drive.
         """
         self._alternatives.take_mount(R)
 
@@ -160,7 +161,9 @@ class SignalChecks:
 
     @property
     def _has_usual_gains(self) -> bool:
-        """True if the gains of the force on dv/dt and v r show no wrong unit."""
+        """True if the gains of the force on dv/dt and v r (speed times yaw rate) show no wrong
+        unit.
+        """
         return all(1.0 / WRONG_UNIT < gain < WRONG_UNIT for gain in self._gains)
 
     def share(self, is_fine: bool) -> float:

@@ -13,8 +13,9 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 
 ANOTHER_ANSWER = math.radians(30.0)
-"""Angle [rad] to the target above which the target is applied at once. In this case the sign was
-wrong, so all rotations between the two corrections are wrong too.
+"""If the angle to the target is larger than this [rad], the target is applied at once.
+
+In this case the sign was wrong, so all rotations between the two corrections are wrong too.
 """
 NEAR = math.radians(0.2)
 """Angle [rad] to the target below which the target counts as reached: each new solution moves the
@@ -100,7 +101,9 @@ def _rest(c: Correction) -> NDArray[np.float64]:
 
 
 def _with_rest(turned: Correction, rest: NDArray[np.float64]) -> Correction:
-    """Return the correction of a rotation with the additional part that `_rest` returns."""
+    """Return a correction: a rotation together with the additional matrices and offsets that
+    `_rest` returns as angles.
+    """
     R = np.array(turned.rotation)
     return Correction.with_matrices(
         turned.matrix(),

@@ -39,7 +39,7 @@ class StatedOrientation:
         self._mount: Matrix3 | None = None
 
     def take_mount(self, R: Matrix3) -> None:
-        """Take the whole mount that a person states.
+        """Use the whole mount that a person states.
 
         If the mount that is found is another one, the statement confirms nothing.
         """

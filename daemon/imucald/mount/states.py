@@ -44,7 +44,9 @@ class Manoeuvres:
         """
 
     def add_accelerations(self, accel: Array, turn: Array) -> None:
-        """Take a block of dv/dt and v r. dv/dt and v r are zero in ticks that are not trusted."""
+        """Process a block of dv/dt and v r (speed times yaw rate). dv/dt and v r are zero in ticks
+        that are not trusted.
+        """
         for k, values in enumerate((accel, -accel, turn, -turn)):
             self._feed(self._state[k], values, float(_LEVELS[k]))
 
@@ -137,7 +139,8 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
 
 
 def is_mount_uncertain(known: MountKnowledge, s: EstimatorSettings) -> bool:
-    """True if most of the variance is that of a sound sensor in a mount that does not move.
+    """True if most of the variance is that of a sensor without a fault in a mount that does not
+    move.
 
     The variance is that of the angle which is furthest from being *usable*.
     """

@@ -48,7 +48,7 @@ class SteeringOffsetEstimator:
     def add_block(
         self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]
     ) -> None:
-        """Take a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
+        """Process a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
         new = _sums_of(angle, speed, yaw_rate, use)
         if new[0]:
             self.seen, self._fit = True, None

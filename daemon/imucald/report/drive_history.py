@@ -30,9 +30,10 @@ CORRECTED = {
 signals have the same scale."""
 _TO_SI = {"accel": 1.0, "gyro": np.pi / 180.0}
 WINDOW_TICKS = 5
-"""Length of the mean for comparing forces with the change of speed [ticks]: half a second. Over a
-shorter time, the resolution of the speed signal dominates. Over a longer time, short manoeuvres are
-not visible."""
+"""Length of the mean for comparing forces with the change of speed [ticks of 0.1 s]: half a second.
+
+Over a shorter time, the resolution of the speed signal dominates. Over a longer time, short
+manoeuvres are not visible."""
 HOLE_S = 2.5
 """Longest gap between speed samples that is interpolated [s]. The slowest OBD-II speed has one
 sample per second."""

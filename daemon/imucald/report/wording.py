@@ -31,7 +31,7 @@ MANY = 4
 
 
 class ParameterRow(NamedTuple):
-    """A parameter of a cause as texts."""
+    """One parameter of a cause: its key, value and unit as texts."""
 
     title: str
     value: str

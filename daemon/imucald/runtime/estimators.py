@@ -91,7 +91,8 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):
             if s >= limit:
                 text = f"{math.degrees(s):.3g} deg about {axis} is too uncertain for a usable mount"
-                better = f"it must be below {math.degrees(limit):.3g} deg"
+                most = math.degrees(limit)
+                better = f"it must be below {most:.3g} deg (±{2.0 * most:.3g} deg at 95 %)"
                 raise EstimateError(f"{text}: {better}, or let the daemon find the mount")
         if (np.hypot(std, BETWEEN_DRIVES_STD) < targets.fine).all():
             state = MountState.FINE

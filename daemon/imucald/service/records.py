@@ -43,7 +43,7 @@ from imucald.service.journal import WARNING
 
 VERSION = 2
 READABLE = (b"1", b"2")
-"""Versions that can be read.
+"""Versions of the file format that can be read.
 
 Version 1 of a saved state contains sums of evidence that are not used. Version 1 of the other
 records contains neither length nor generation.

@@ -22,8 +22,9 @@ from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.uds.host import FrameCounts, Identity, Symptoms
 
 SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
-"""A speed counts as known if its last sample is at most this old [ticks]. The time is two seconds,
-because some sources send one sample per second.
+"""A speed counts as known if its last sample is at most this old [ticks of 0.1 s].
+
+The time is two seconds, because some sources send one sample per second.
 """
 STANDING_SPEED: Final = 0.1
 """A vehicle counts as standing below this speed [m/s]. The value is smaller than the resolution of

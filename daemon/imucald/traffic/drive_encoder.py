@@ -53,8 +53,8 @@ class BusEncoder:
         """Names of the routes that cannot be written."""
         if not self._routes:
             raise ConfigError(
-                "the configuration takes no signal from a message of a database alone, "
-                "so there is nothing to write"
+                "no frame can be written: every signal of the configuration is a raw source, or "
+                "has its sign in another message"
             )
 
     @property

@@ -63,7 +63,7 @@ class TerminalAttitude:
         self._rest_begin()
 
     def gyro(self, t: float, raw: Vector) -> None:
-        """Take an angular rate [rad/s].
+        """Process an angular rate [rad/s].
 
         The frame P restarts after a time in which the rotation of the terminal was not measured.
         """
@@ -84,7 +84,7 @@ class TerminalAttitude:
         self._t_gyro, self.rate = t, rate
 
     def accel(self, t: float, force: Vector) -> None:
-        """Take a specific force [m/s^2], which levels the attitude."""
+        """Process a specific force [m/s^2], which levels the attitude."""
         size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         dt = min(t - self._t_accel, GAP_S)
         self._t_accel = t
@@ -101,12 +101,12 @@ class TerminalAttitude:
         self._set(quaternion_product(quaternion_from_vector(ex * part, ey * part, 0.0), self.q))
 
     def mag(self, t: float, field: Vector) -> None:
-        """Take a magnetic field [T]."""
+        """Process a magnetic field [T]."""
         if self.ready:
             self.north.add_field(t, field, self.level)
 
     def compass(self, t: float, heading: float) -> None:
-        """Take a heading of the y axis from another source, clockwise from north [rad]."""
+        """Process a heading of the y axis from another source, clockwise from north [rad]."""
         if not self.ready:
             return
         x, y, _ = times(self.level, (0.0, 1.0, 0.0))

@@ -119,8 +119,8 @@ class TravelDirection:
         self.last = None
 
     def sample(self, t: float, channel: str, values: Sequence[float]) -> Step | None:
-        """Take a sample of a channel (see `samples`). Returns the step that this sample completes,
-        or None.
+        """Process a sample of a channel (see `samples`). Returns the step that this sample
+        completes, or None.
 
         Samples with impossible values are left out and counted.
         """
@@ -138,12 +138,12 @@ class TravelDirection:
         return None
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
-        """Take an angular rate [rad/s]."""
+        """Process an angular rate [rad/s]."""
         self._has_gyro = True
         self.attitude.gyro(t, (values[0], values[1], values[2]))
 
     def mag(self, t: float, values: Sequence[float]) -> None:
-        """Take a magnetic field [T]."""
+        """Process a magnetic field [T]."""
         field = (values[0], values[1], values[2])
         self._fields.append((t, field))
         while self._fields[0][0] < t - self.settings.steps.longest - COMPASS_STALE_S:
@@ -151,13 +151,16 @@ class TravelDirection:
         self.attitude.mag(t, field)
 
     def heading(self, t: float, heading: float) -> None:
-        """Take a compass reading of the terminal's y axis [rad], from north."""
+        """Process a compass reading of the terminal's y axis [rad], from north."""
         heading = self._clockwise * heading
         self._heading = (t, heading)
         self.attitude.compass(t, heading)
 
     def accel(self, t: float, values: Sequence[float]) -> Step | None:
-        """Take a specific force [m/s^2]. Returns the step that this sample completes, or None."""
+        """Process a specific force [m/s^2].
+
+        Returns the step that this sample completes, or None.
+        """
         s = self._upwards
         force = (s * values[0], s * values[1], s * values[2])
         self._heard = t

@@ -145,7 +145,7 @@ class PublishedDirection:
         self._contradicted = False
 
     def take_cycle(self, cycle: StepCycle, level: float) -> PublishedResult:
-        """Take a cycle and return its headings. The acceleration of the cycle is +g for an axis
+        """Process a cycle and return its headings. The acceleration of the cycle is +g for an axis
         that points up.
 
         level: clockwise angle from north to the y axis of the level frame [rad].

@@ -42,7 +42,7 @@ GATE = 3.0
 DISTURBANCE = 5.0
 """Disturbance for which `NOISE` is chosen [uT]."""
 DISTURBANCE_S = 120.0
-"""Time over which the disturbance is measured from the size of the field [s]."""
+"""Time over which the disturbance is measured from the magnitude of the field [s]."""
 DISTURBANCE_PARTS = (0.3, 3.0)
 """Limits of the measured disturbance, relative to `DISTURBANCE`. A short walk does not show the
 whole disturbance."""
@@ -76,7 +76,7 @@ class NorthFilter:
         self.P[6, 6] = RESTED_STD**2
 
     def add_field(self, t: float, field: Vector, C_level_from_terminal: Rows) -> None:
-        """Take a field [T] in terminal axes."""
+        """Process a field [T] in terminal axes."""
         if t - self._since > 10.0 * STEP_S:
             self._sum[:], self._count, self._since = 0.0, 0, t
         self._sum += field
@@ -110,7 +110,7 @@ class NorthFilter:
         self._watch(C @ (field - self.x[0:3]))
 
     def _watch(self, level_field: Array) -> None:
-        """Measure the disturbance. The level and the vertical size of the earth's field are
+        """Measure the disturbance. The level and the vertical magnitude of the earth's field are
         constant, so changes of these sizes are the disturbance.
         """
         sizes = np.array([math.hypot(level_field[0], level_field[1]), level_field[2]])

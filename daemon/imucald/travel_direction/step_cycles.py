@@ -81,7 +81,7 @@ class StepCycles:
         turning: tuple[float, float] = (0.0, 0.0),
         up: float | None = None,
     ) -> StepCycle | None:
-        """Take a sample [m/s^2] at t [s]. Returns the cycle that ends with this sample, or None.
+        """Process a sample [m/s^2] at t [s]. Returns the cycle that ends with this sample, or None.
 
         level, turning: acceleration and angular rate in a level frame; they are stored with the
         cycle. up: vertical acceleration, if an attitude is known. Without an attitude, the low-pass

@@ -51,7 +51,9 @@ FAULTY: Final = {
     )
 }
 """The DTC of each fault, by sensor or signal."""
-NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "there is no correction", NOT_CALIBRATED_S)
+NOT_CALIBRATED = Dtc(
+    0x5A1054, "not_calibrated", "no correction of the sensor is known yet", NOT_CALIBRATED_S
+)
 SENSOR_MOVED = Dtc(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
 ACCELEROMETER_MISSING = Dtc(0x5A1287, "accelerometer_missing", "no good sample for a second")
 GYROSCOPE_MISSING = Dtc(0x5A1387, "gyroscope_missing", "no good sample for a second")

@@ -6,9 +6,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from imucald.api.columns import Columns
+from imucald.api.columns import Columns, no_rows
 from imucald.api.files.table_file import (
     Tables,
     given_up,
@@ -18,6 +18,9 @@ from imucald.api.files.table_file import (
     unfinished,
 )
 from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 def result_file(path: Path) -> Path:
@@ -35,13 +38,16 @@ class CsvTables:
         self._files = names_beside(path, tables)
         self._result = result_file(path)
         self._writers = opened(
-            self._files, lambda name, path: csv.CSVWriter(path, arrow_schema(tables[name], None))
+            self._files,
+            lambda name, path: csv.CSVWriter(
+                path, _with_time_as_text(no_rows(tables[name])).schema
+            ),
         )
 
     def add_tables(self, part: Mapping[str, Columns]) -> None:
         """Append rows."""
         for name, rows in part.items():
-            self._writers[name].write_table(to_arrow(rows))
+            self._writers[name].write_table(_with_time_as_text(rows))
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
         """Close the tables and write the result file next to them."""
@@ -55,6 +61,21 @@ class CsvTables:
     def abandon(self) -> None:
         """Close and remove the unfinished files."""
         given_up(self._writers.values(), map(unfinished, (*self._files.values(), self._result)))
+
+
+def _with_time_as_text(rows: Columns) -> pa.Table:
+    """Return rows as an Arrow table whose column `time` is text: ISO 8601, UTC.
+
+    Arrow itself can write times with a time zone only if the system has a time zone database. A
+    container or a minimal Debian has none.
+    """
+    arrow, compute = library("pyarrow", "arrow"), library("pyarrow.compute", "arrow")
+    table = to_arrow(rows)
+    place = table.schema.get_field_index("time")
+    if place < 0:
+        return table
+    text = table.column(place).cast(arrow.timestamp("us")).cast(arrow.string())
+    return table.set_column(place, "time", compute.binary_join_element_wise(text, "Z", ""))
 
 
 def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -82,7 +83,8 @@ class Database:
 
     def _files(self) -> str:
         """The names of the files of this database, for error texts."""
-        return ", ".join(dict.fromkeys(m.source for m in self.messages.values())) or "the database"
+        files = (re.sub(r":\d+$", "", m.source) for m in self.messages.values())  # without the line
+        return ", ".join(dict.fromkeys(files)) or "the database"
 
     def _holders(self, signal_name: str) -> str:
         """Return a hint that names the other messages with this signal; empty if there are none."""

@@ -140,7 +140,7 @@ def _count_sets(
 def _refuse_sets(text: str, at: int, source: str) -> None:
     raise DatabaseError(
         f"{_place(text, max(at, 0), source)}: multiplexers select more than "
-        f"{MAX_MULTIPLEXED_SETS} sets of signals, or one another"
+        f"{MAX_MULTIPLEXED_SETS} sets of signals, or select one another"
     )
 
 

@@ -86,9 +86,9 @@ identifier bytes at the start of the input."""
 class ChecksumKind(Struct, frozen=True):
     """One kind of checksum.
 
-    make: returns the checksum of a message; may raise ConfigError. counter: the counter that
-    belongs to the kind. in_signal: function of a kind that has its own signal and covers identifier
-    bytes and payload.
+    make: returns the checksum of a message; may raise ConfigError. counter: the alive counter that
+    an E2E profile defines. in_signal: function of a kind that has its own signal and covers
+    identifier bytes and payload.
     """
 
     make: Callable[[Message, ChecksumOptions], ChecksumSpec]

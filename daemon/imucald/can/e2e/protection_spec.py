@@ -68,7 +68,7 @@ class ProtectionSpec(Struct, frozen=True):
         if self.checksum is not None and self.checksum.size > self.size:
             raise ConfigError(f"the checksum is outside a message of {self.size} bytes")
         if self.recovery < 0:
-            raise ConfigError("recovery frames cannot be negative")
+            raise ConfigError("recover_after must not be negative")
         if self.cycle_time is not None and not self.cycle_time * self.timeout_cycles > 0.0:
             raise ConfigError("cycle time and time-out must be positive")
 

@@ -51,7 +51,10 @@ class Overlaps:
                     later, earlier = (log, name) if first >= begin else (name, log)
                     words = overlap_words(later, earlier, shared, min(last - first, end - begin))
                     mark = "" if words.endswith("?") else ":"
-                    yield f"{words}{mark} the frames in both logs count twice; cut them out of one"
+                    yield (
+                        f"{words}{mark} the frames in both logs count twice; "
+                        "cut them out of one of the logs"
+                    )
                 elif last < begin:
                     yield (
                         f"{log} is earlier than {name}, which is read before it: name the pieces "

@@ -24,8 +24,8 @@ MOST_FREEDOM = 1e6
 
 
 def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array, Array]:
-    """Return the moderated T (kinds, 3) [deg^2] for tests and shrinkage, and the degrees of freedom
-    (kinds,) of T + V.
+    """Return the moderated variance T between vehicles (kinds, 3) [deg^2] for tests and shrinkage,
+    and the degrees of freedom (kinds,) of T + V.
 
     V: (kinds, 3) usual variance of a vehicle's mean. A type with one vehicle gets the common T.
     """

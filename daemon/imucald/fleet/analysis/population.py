@@ -61,8 +61,8 @@ class Population:
 
 
 def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Population:
-    """Find the mounts of types, bad batches and outliers. columns: for each column of groups, the
-    group of each vehicle."""
+    """Find the mounts of the vehicle types, bad batches, and vehicles that are outliers. columns:
+    for each column of groups, the group of each vehicle."""
     codes = {name: group_codes(values) for name, values in columns.items()}
     found: list[GroupEffect] = []
     offset = np.zeros((len(units), 3))
@@ -80,7 +80,7 @@ def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Pop
 
 def _robust(units: Units, offset: Array) -> tuple[Rotation, Array, Array]:
     """Return robust estimates: centres of the types, rotation vectors of the vehicles relative to
-    the centres without the offsets (n, 3), and T (kinds, 3)."""
+    the centres without the offsets (n, 3), and the variance T between vehicles (kinds, 3)."""
     rotation = turned(units.rotation, -offset) if len(units) else units.rotation
     centre = _first_centres(rotation, units)
     T = np.zeros((units.kinds, 3))
@@ -118,8 +118,9 @@ def _first_centres(rotation: Rotation, units: Units) -> Rotation:
 def _without_outliers(
     units: Units, centre: Rotation, e: Array, offset: Array, T: Array, groups: list[GroupEffect]
 ) -> Population:
-    """Estimate T by REML, and the means, without outliers. Each vehicle is compared with the other
-    vehicles of its type to find outliers."""
+    """Estimate the variance T between vehicles by REML, and the means, without outliers.
+
+    Each vehicle is compared with the other vehicles of its type to find outliers."""
     odd = t_weights(e, T[units.kind] + units.v) < _SUSPECT_WEIGHT
     rotation = turned(units.rotation, -offset) if len(units) else units.rotation
     for _ in range(RESTARTS):
@@ -156,8 +157,8 @@ def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
 def _components(
     units: Units, e: Array, odd: Flags
 ) -> tuple[list[list[VarianceComponent]], Array, Array]:
-    """Return T by type and axis from each type alone, the moderated T (kinds, 3), and its degrees
-    of freedom."""
+    """Return the variance T between vehicles by type and axis, from each type alone; the moderated
+    T (kinds, 3); and its degrees of freedom."""
     found, usual = [], np.zeros((units.kinds, 3))
     for k in range(units.kinds):
         mine = (units.kind == k) & ~odd

@@ -18,11 +18,13 @@ from imucald.fleet.analysis.units import MAX_Q
 
 ROUNDS = 3
 LEAST_PAIRS = 3
-"""Smallest number of pairs of successive drives (`_pairs`) for estimating D. The first estimate of
-D is a median over these pairs. With fewer pairs, a single remount would dominate the median and
-look like the normal scatter of drives."""
+"""Smallest number of pairs of successive drives (`_pairs`) for estimating the variance D between
+drives. The first estimate of D is a median over these pairs. With fewer pairs, a single remount
+would dominate the median and look like the normal scatter of drives."""
 OWN_FREEDOM = 20
-"""A type with fewer degrees of freedom of D uses the D of all types together."""
+"""If the variance D between drives has fewer degrees of freedom in a type, the type uses the D of
+all types together.
+"""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
 """Tried degrees of freedom of the null distribution. A few hundred pairs of drives cannot separate
 a t distribution with 30 degrees of freedom from a normal distribution, but the difference matters
@@ -58,8 +60,9 @@ class Remounts:
 
 
 def find_remounts(drives: KnownDrives) -> Remounts:
-    """Find remounts in all vehicles. D is estimated from the differences between drives without a
-    remount between them."""
+    """Find remounts in all vehicles.
+
+    The variance D between drives is estimated from drives without a remount between them."""
     e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
     D = np.tile(_first_D(e, drives), (len(drives.kinds), 1))
     components: list[list[VarianceComponent]] = []
@@ -81,8 +84,8 @@ def _pairs(drives: KnownDrives) -> Index:
 
 
 def _first_D(e: Array, drives: KnownDrives) -> Array:
-    """Return a first estimate of D from the median of the differences between successive drives.
-    Remounts change a median only little."""
+    """Return a first estimate of the variance D between drives, from the median of the differences
+    between successive drives. Remounts change a median only little."""
     after = _pairs(drives)
     squares = (e[after] - e[after - 1]) ** 2
     P = np.diagonal(drives.P, axis1=1, axis2=2)
@@ -186,9 +189,10 @@ def _segments(drives: KnownDrives, cuts: Index) -> Index:
 
 
 def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[VarianceComponent]]:
-    """Return D by type and axis. A type with too little data gets the D of all types together.
-    Segments that contain drives without an order are left out, because a remount may be hidden in
-    them.
+    """Return the variance D between drives by type and axis.
+
+    A type with too little data gets the D of all types together. Segments that contain drives
+    without an order are left out, because a remount may be hidden in them.
     """
     use = ~np.isin(segment, segment[~drives.is_after])
     e, segment, kind = e[use], segment[use], drives.kind[drives.vehicle][use]

@@ -292,7 +292,7 @@ class ZeroDrift:
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array,
         rate_walk: Array,
     ) -> None:  # fmt: skip
-        """Take a block of N = 64 ticks in the working axes.
+        """Process a block of N = 64 ticks in the working axes.
 
         The block is divided into parts. Random walks are added at the start of a part. The effect
         of unused ticks must be added before the other ticks.

@@ -161,8 +161,9 @@ TURN_FITS: Final = Fits(
     keep=1,
 )
 ROLLS, PITCHES = 0.0075, 0.004
-"""Roll angle per v r, and pitch angle per dv/dt [rad/(m/s^2)], for a vehicle without a gyroscope.
-These values are 4 to 6 deg/g for roll and 2 to 3 deg/g for pitch, from the springs (assumption).
+"""Roll angle per v r (speed times yaw rate), and pitch angle per dv/dt [rad/(m/s^2)], for a vehicle
+without a gyroscope. These values are 4 to 6 deg/g for roll and 2 to 3 deg/g for pitch, from the
+springs (assumption).
 """
 ROLLING_SPREAD: Final = np.array([0.7, 1.5, 1.5])
 """Prior standard deviation of the response to dp/dt for each axis of the force, if the roll rate p
@@ -183,8 +184,9 @@ The values are medians of the simulated drives with the seeds 970000 to 970011. 
 used to judge results.
 """
 UNKNOWN: Final = range(len(wd.NAMES), len(wd.NAMES) + len(UNKNOWN_NAMES))
-"""Indices of the columns of `unknown_speed`. In a drive without a speed signal, these columns come
-after the columns of `windows`.
+"""Indices of the columns that `unknown_speed` computes.
+
+In a drive without a speed signal, these columns come after the columns of `windows`.
 """
 UNKNOWN_NOISE: Final = np.array([0.15, 0.5, 0.4, 0.35, 0.2, 0.1, 0.05, 0.05])
 """Expected noise of the lateral force in each frequency band [(m/s^2)^2], for a drive without a
@@ -215,8 +217,8 @@ ANSWERS: Final = {
 }
 """Name of the evidence for each response to motion, by axis and motion.
 
-Motion 0 is dv/dt, motion 1 is v r, and motion 2 is the turn rate r. The force responds to motions 0
-and 1. The measured roll rate and pitch rate respond to motion 2.
+Motion 0 is dv/dt, motion 1 is v r (speed times yaw rate), and motion 2 is the turn rate r. The
+force responds to motions 0 and 1. The measured roll rate and pitch rate respond to motion 2.
 """
 Answered = tuple[tuple[tuple[int, tuple[int, int]], ...], ...]
 WITH_SPEED: Final[Answered] = (
@@ -256,8 +258,9 @@ SIDE = 0.3
 horizontal force. Lateral means across the principal axis of the force.
 """
 MIDDLES: Final = np.linspace(0.5, BLOCK_TICKS - 0.5, BLOCK_TICKS)
-"""Middles of the ticks of a block [ticks]. The speed is known at these times if every tick has a
-mean of the speed.
+"""Middles of the ticks of a block [ticks of 0.1 s].
+
+The speed is known at these times if every tick has a mean of the speed.
 """
 
 
@@ -371,7 +374,7 @@ class Evidence:
         self._late, self._lever_arm = late, np.array(lever_arm)
         self.delay, self.delay_std = late.mean, math.inf
         self.gains = (1.0, 1.0)
-        """Gains of the force on dv/dt and v r."""
+        """Gains of the force on dv/dt and v r (speed times yaw rate)."""
         self.variances: Mapping[str, float] = {}
         """Variance of the angle from each kind of evidence alone [rad^2]."""
         self._bands = np.ones(wd.BANDS, dtype=bool)
@@ -477,7 +480,7 @@ class Evidence:
         self._breaks.add(len(self._blocks))
 
     def add_block(self, block: Block) -> None:
-        """Take the next block."""
+        """Process the next block."""
         self._blocks.append(block)
         if len(self._blocks) > MOST_BLOCKS:
             self._forget(len(self._blocks) - KEPT_BLOCKS)
@@ -609,7 +612,7 @@ class Evidence:
         return force, rate, speed, accel, motion
 
     def _take(self, first: int, stop: int) -> None:
-        """Compute the windows that end with the joined blocks from `first` to before `stop`."""
+        """Compute the windows whose last blocks are the blocks `first` to `stop` - 1."""
         assert self._axes is not None
         use = np.concatenate([b.use for b in self._blocks[first:stop]])
         if self.signals.speed:
@@ -688,7 +691,7 @@ class Evidence:
         """Return a signal (N,) of joined blocks after correction of its delay.
 
         of: function that returns the signal of a block. delay: delay of the signal [s]. later:
-        further shift towards later samples [ticks].
+        further shift towards later samples [ticks of 0.1 s].
         """
         before = first - 1 if first not in self._breaks else first
         after = stop + 1 if stop < len(self._blocks) and stop not in self._breaks else stop
@@ -783,7 +786,8 @@ class Evidence:
 
         The up direction is the direction of mean gravity: of the mean force minus the mean of the
         motion's part. The forward direction is found by complex least squares of the horizontal
-        force on dv/dt + i v r. Each direction needs the other one, so both are found in turn.
+        force on dv/dt + i v r (speed times yaw rate). Each direction needs the other one, so both
+        are found in turn.
         """
         if len(self._blocks) < BLOCKS_A_WINDOW:
             return False
@@ -939,7 +943,7 @@ class Evidence:
 
     def _answer_row(self, i: int, j: int) -> Array:
         """Return the row (UNKNOWNS,) for the response of the force's axis i to dv/dt (j = 0) or v r
-        (j = 1).
+        (speed times yaw rate) (j = 1).
         """
         row = entry(i, j)
         if i < 2:
@@ -1038,7 +1042,7 @@ class Evidence:
         """Return sums (S, 4) for each road segment: the two components of the horizontal force
         divided by g, the weight, and the distance [m].
 
-        to_last: as in `response.segments_of`.
+        to_last: the last segment ends with the last window.
         """
         ends = self._sums.ends(to_last)
         starts = np.concatenate([[0], ends[:-1] + 1])
@@ -1147,7 +1151,7 @@ def force_fits(signals: OtherSignals) -> Fits:
 
 def _leaning(lateral: Array, accel: Array) -> Array:
     """Return the roll rate and the pitch rate (N, 2) [rad/s] of a body that leans in proportion to
-    v r and dv/dt. lateral: (N,) v r [m/s^2]. accel: (N,) dv/dt [m/s^2].
+    v r (speed times yaw rate) and dv/dt. lateral: (N,) v r [m/s^2]. accel: (N,) dv/dt [m/s^2].
     """
     return np.column_stack(
         [ROLLS * np.gradient(lateral, TICK_S), -PITCHES * np.gradient(accel, TICK_S)]

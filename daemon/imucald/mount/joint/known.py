@@ -224,7 +224,7 @@ def known_from(content: object) -> KnownSensor:
         if np.abs(mean).max() > LARGEST or values[-1] > LARGEST or values[0] < -1e-6 * values[-1]:
             raise ValueError("out of range")
         if np.diag(covariance).min() <= 0.0:
-            raise ValueError("known without an error")
+            raise ValueError("a standard deviation is not positive")
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise EstimateError(f"the saved data of the sensor cannot be used ({error})") from None
     return KnownSensor(rotation, mean, np.asarray((axes * np.maximum(values, 0.0)) @ axes.T))

@@ -1,4 +1,5 @@
-"""Weighted least squares on the windows of a drive: response of the force to dv/dt and v r.
+"""Weighted least squares on the windows of a drive: response of the force to dv/dt and v r (speed
+times yaw rate).
 
 The noise of each frequency band is estimated for the drive. A noise factor is estimated for each
 window. Windows with much noise get less weight, and windows with little noise get more weight. The
@@ -113,7 +114,7 @@ def _values(bands: NDArray[np.bool_]) -> float:
 
 
 def left_of(rows: Array, power: Array, packing: Packing) -> Array:
-    """Return the expected power (F, n, BANDS) of the noise of fits in windows.
+    """Return the expected noise power of each fit in each window and frequency band (F, n, BANDS).
 
     rows: (F, n, BANDS, size) packed windows. power: (F, size) factors of each fit. The power is
     the sum of two parts: the power of the residual, and the expected effect of the errors of the
@@ -157,7 +158,7 @@ def respond(
     noise: Array | None = None,
     trust: Array | None = None,
 ) -> Responses:
-    """Fit column 0 on the other columns, in F fits at once.
+    """Fit column 0 as a linear combination of the other columns, in F fits at once.
 
     rows: (F, n, BANDS, size) packed products. The first `old` rows are road segments, and the other
     rows are windows. usual: (F, BANDS) expected noise. spread: (F, p) prior deviations of the

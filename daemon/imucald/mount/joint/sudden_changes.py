@@ -183,7 +183,7 @@ class Onsets:
         return is_full
 
     def add_answers(self, answers: Array, both: Array) -> None:
-        """Take the whitened responses (m, n k) of m innovations to the unknowns.
+        """Add the whitened responses (m, n k) of m innovations to the unknowns.
 
         both: (1 + STATES, n k) products. Row 0 has the products of the responses with the
         innovations. Each other row belongs to one state and has the products of the responses with

@@ -97,7 +97,7 @@ class FitSums:
         return self._trust[:, self._old :]
 
     def add_windows(self, products: Array) -> None:
-        """Take the products (n, BANDS, columns, columns) of n windows."""
+        """Add the products (n, BANDS, columns, columns) of n windows."""
         new = np.ones((len(self._store), len(products)))
         at, stop = self._counts.shape[1], self._counts.shape[1] + len(products)
         if stop > self._store.shape[1]:  # room for more than these: copying takes time
@@ -148,7 +148,8 @@ class FitSums:
         """Return the information (F, S, columns, columns) of each road segment.
 
         Weights and noise are results of the last fit. Windows after the last fit are included too.
-        to_last: as in `segments_of`. is_weighted: False: each window has the same weight.
+        to_last: the last segment ends with the last window. is_weighted: False: each window has the
+        same weight.
         """
         last = self._last
         assert last is not None
@@ -213,11 +214,12 @@ class FitSums:
 
 
 def _grown_before(G: Array, C: Array, off: Array, began: NDArray[np.int_]) -> Array:
-    """Return the factor (F, B, keep) by which the variance between road segments exceeds its
-    expected value.
+    """Return, for each fit, time and coefficient (F, B, keep), the factor by which the variance
+    between road segments exceeds its expected value.
 
     The factor is computed from the road segments before each possible time of a change. G: (F, S,
-    columns, columns) road segments. C: (F, keep, p) rows of the covariance of the coefficients.
+    columns, columns) information of each road segment. C: (F, keep, p) rows of the covariance of
+    the coefficients.
     off: (F, B, p) coefficients before each time. began: (B,) number of segments before each time.
     """
     seen = C[:, None] @ G[:, :, 1:]
@@ -264,7 +266,7 @@ class WindowSums:
         self._shared = np.zeros((0, 2, 4))
 
     def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
-        """Take the spectra (n, bins, columns) of n windows. blocks: (n,) number of the last block
+        """Add the spectra (n, bins, columns) of n windows. blocks: (n,) number of the last block
         of each window.
         """
         products = wd.products(spectra)
@@ -298,7 +300,9 @@ class WindowSums:
         return np.asarray(first - (wd.WINDOW // wd.BLOCK - 1))
 
     def ends(self, to_last: bool = False) -> NDArray[np.int_]:
-        """Return the last block (S,) of each road segment. to_last: as in `segments_of`."""
+        """Return the last block (S,) of each road segment. to_last: the last segment ends with the
+        last window.
+        """
         length, n = SEGMENTS[0], len(self._blocks)
         first = (n - 1) % length if to_last else length - 1
         return self._blocks[np.minimum(np.arange(first, n + first, length), n - 1)]
@@ -317,8 +321,8 @@ class WindowSums:
 
     @property
     def leak(self) -> Array:
-        """Response (2, 2) of the computed gravity along x and y to dv/dt and v r, for a gyroscope
-        that is rotated about z by one radian.
+        """Response (2, 2) of the computed gravity along x and y to dv/dt and v r (speed times yaw
+        rate), for a gyroscope that is rotated about z by one radian.
         """
         total = self._shared.sum(axis=0)
         return np.asarray(np.linalg.lstsq(total[:, :2], total[:, 2:], rcond=None)[0].T)

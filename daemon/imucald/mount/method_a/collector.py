@@ -41,10 +41,10 @@ class ManoeuvreCollector:
     def take_interval(
         self, interval: SpeedInterval, f: Vector, along: float, lateral: float
     ) -> bool:
-        """Take an interval with speed. Returns True if a manoeuvre has ended and is kept.
+        """Process an interval with speed. Returns True if a manoeuvre has ended and is kept.
 
-        f: force minus offset in sensor axes [m/s^2]. along, lateral: dv/dt and v r minus their
-        offsets [m/s^2].
+        f: force minus offset in sensor axes [m/s^2]. along, lateral: dv/dt and v r (speed times yaw
+        rate) minus their offsets [m/s^2].
         """
         s, m = self._settings, self._open
         straight = s.calibration.straight
@@ -73,7 +73,7 @@ class ManoeuvreCollector:
     def take_unsigned(
         self, interval: SpeedInterval, f: Vector, R_level_from_sensor: Matrix3
     ) -> bool:
-        """Take an interval without speed: a manoeuvre is recognised by the size of the level
+        """Process an interval without speed: a manoeuvre is recognised by the size of the level
         force."""
         x, y, _ = (R_level_from_sensor @ np.array(f)).tolist()
         size = math.hypot(x, y)

@@ -1,9 +1,9 @@
 """Method A online: a `MountEstimator` that runs the published solver on ticks.
 
 The published steps are: static test, tilt, straight variable-speed motion, target angle,
-correction. There are five additions to the publication: a limit on v r, subtraction of v r, dv/dt
-from the speed for sign and weight, averaging of several stops, and removal of the wandering offset.
-An interval that contains a bad sample is dropped completely.
+correction. There are five additions to the publication: a limit on v r (speed times yaw rate),
+subtraction of v r, dv/dt from the speed for sign and weight, averaging of several stops, and
+removal of the wandering offset. An interval that contains a bad sample is dropped completely.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class PublishedEstimator:
         self._straight_s = 0.0
 
     def step(self, tick: TickRow) -> None:
-        """Take one tick."""
+        """Process one tick."""
         self._take_vehicle(tick)
         clean = self._take_force(tick)
         force = self._force

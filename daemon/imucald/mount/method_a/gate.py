@@ -42,7 +42,8 @@ this factor."""
 
 
 class WanderingOffset:
-    """Exponentially fading mean of the force and of (dv/dt, v r) over straight motion.
+    """Exponentially fading mean of the force and of (dv/dt, v r), with speed v and yaw rate r, over
+    straight motion.
 
     Slope, bank and bias wander slowly. The mean force is subtracted from the force, and the mean
     motion is subtracted from the motion. The subtraction removes slope, bank and bias, and keeps
@@ -66,7 +67,7 @@ class WanderingOffset:
         return self._weight >= min(OFFSET_SETTLED_S, 0.6 * self._tau)
 
     def mean(self) -> list[float]:
-        """Return the means of fx, fy, fz, dv/dt and v r [m/s^2]."""
+        """Return the means of fx, fy, fz, dv/dt and v r (speed times yaw rate) [m/s^2]."""
         if self._weight <= 0.0:
             return [0.0] * 5
         return [s / self._weight for s in self._sums]
@@ -74,7 +75,7 @@ class WanderingOffset:
     def add_interval(
         self, interval: SpeedInterval, dvdt: float, lateral: float, with_speed: bool
     ) -> None:
-        """Take a straight interval with its dv/dt and v r [m/s^2]."""
+        """Process a straight interval with its dv/dt and v r (speed times yaw rate) [m/s^2]."""
         if self._tau > 0.0:
             dt = interval.t1 - interval.t0
             least = OFFSET_INTERVALS * dt if with_speed else self._without_speed
@@ -84,7 +85,7 @@ class WanderingOffset:
             self._weight = self._weight * keep + dt
 
     def fade(self, dt: float) -> None:
-        """Take an interval that is not straight: the weight of the offset decreases."""
+        """Process an interval that is not straight: the weight of the offset decreases."""
         keep = math.exp(-dt / OFFSET_FADE_S)
         self._sums = [s * keep for s in self._sums]
         self._weight *= keep
@@ -95,8 +96,8 @@ class StraightGate:
 
     The decision is made by the first recogniser, or group of recognisers, whose signals are
     available. The limit on the lateral acceleration must also hold. The lateral acceleration is v r
-    if both factors are known, otherwise the vehicle's own lateral acceleration, otherwise the
-    horizontal force that dv/dt does not explain.
+    (speed times yaw rate) if both factors are known, otherwise the vehicle's own lateral
+    acceleration, otherwise the horizontal force that dv/dt does not explain.
     """
 
     def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
@@ -111,7 +112,7 @@ class StraightGate:
         self._recent: deque[Vector] = deque(maxlen=kept)
 
     def push(self, force: Vector) -> None:
-        """Take a tick's specific force (3,), sensor axes [m/s^2]."""
+        """Process a tick's specific force (3,), sensor axes [m/s^2]."""
         self._recent.append(force)
 
     def is_straight(
@@ -149,7 +150,8 @@ class StraightGate:
     def _yaw_rate_limit(self, lateral: float) -> float:
         """Return the limit on the yaw rate.
 
-        The wider limit applies to motion whose v r is known and has a limit too.
+        The wider limit applies to motion whose v r (speed times yaw rate) is known and has a limit
+        too.
         """
         s = self._limits
         gated = s.lateral_limit > 0.0 and not isnan(lateral)
@@ -183,8 +185,8 @@ class StraightGate:
         """Recogniser 3: return True if the smoothed angles of the last window agree. The offset is
         removed first.
 
-        Motion at constant speed has no angle, but counts as straight, so that the offset can be
-        estimated. Such motion is too weak to give a target angle.
+        Motion at constant speed shows no target angle, but counts as straight, so that the offset
+        can be estimated. Such motion is too weak to give a target angle.
         """
         n = self._smoothing
         if len(self._recent) <= n:

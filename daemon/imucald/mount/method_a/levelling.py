@@ -63,7 +63,7 @@ class StopBook:
         self.seen = 0
 
     def add_static_window(self, force: Vector, count: float, new_place: bool) -> None:
-        """Take a static window: mean force (3,) [m/s^2] of `count` samples.
+        """Process a static window: mean force (3,) [m/s^2] of `count` samples.
 
         new_place: the vehicle has moved since the last window; otherwise both windows belong to one
         stop.
@@ -118,7 +118,7 @@ class LongRunLevel:
         self.seconds = 0.0
 
     def add_mean_force(self, x: float, y: float, z: float, seconds: float) -> None:
-        """Take a mean specific force [m/s^2] over some seconds."""
+        """Process a mean specific force [m/s^2] over some seconds."""
         self._x += x * seconds
         self._y += y * seconds
         self._z += z * seconds

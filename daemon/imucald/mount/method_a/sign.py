@@ -44,7 +44,7 @@ class SignVotes:
         self.counts: dict[str, int] = {}
 
     def add_vote(self, source: str, forward: Sequence[float]) -> None:
-        """Take a vote: a vector (3,) in sensor axes that should point forward. source: kind of
+        """Count a vote: a vector (3,) in sensor axes that should point forward. source: kind of
         event."""
         x, y, z = forward
         norm = math.sqrt(x * x + y * y + z * z)
@@ -114,7 +114,7 @@ class SignEvidence:
     def take_turn(
         self, interval: SpeedInterval, f: Vector, up: Vector | None, reverse: bool
     ) -> None:
-        """Take any interval. In a turn, the force points to the side to which the gyroscope
+        """Process any interval. In a turn, the force points to the side to which the gyroscope
         turns."""
         turn = self._turn
         if abs(interval.yaw_rate) > TURN_RATE:
@@ -129,7 +129,7 @@ class SignEvidence:
     def take_straight(
         self, interval: SpeedInterval, f: Vector, up: Vector | None, reverse: bool, braking: bool
     ) -> None:
-        """Take a straight interval."""
+        """Process a straight interval."""
         if up is None:
             return
         dt = interval.t1 - interval.t0

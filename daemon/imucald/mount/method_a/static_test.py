@@ -61,7 +61,7 @@ class StandstillDetector:
         self._high = [-1e9, -1e9, -1e9]
 
     def take_tick(self, tick: TickRow, stopped: bool | None) -> StaticWindow | None:
-        """Take a tick. Returns a window that has just been confirmed static, or None.
+        """Process a tick. Returns a window that has just been confirmed static, or None.
 
         stopped: True if the speed shows that the vehicle stands; None if the speed is not known.
         """

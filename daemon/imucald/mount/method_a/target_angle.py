@@ -1,12 +1,12 @@
 """Manoeuvres: the evidence of one braking or one acceleration about the target angle, and the
 combination of all manoeuvres.
 
-A published sample angle with v*r subtracted is lambda_i = atan2(v r, dv/dt) - atan2(R'y, R'x). The
-circular mean of such angles, weighted by |R'| |(dv/dt, v r)|, is the argument of the sum of
-conj(R') (dv/dt + i v r). A manoeuvre stores that sum in sensor axes, before levelling. If the tilt
-becomes better later, the angle of every earlier manoeuvre becomes better too. The uncertainty is
-computed from the differences between manoeuvres, because all samples of one manoeuvre have the same
-slope, the same bank and the same driver.
+A published sample angle with v*r subtracted is lambda_i = atan2(v r, dv/dt) - atan2(R'y, R'x), with
+speed v and yaw rate r. The circular mean of such angles, weighted by |R'| |(dv/dt, v r)|, is the
+argument of the sum of conj(R') (dv/dt + i v r). A manoeuvre stores that sum in sensor axes, before
+levelling. If the tilt becomes better later, the angle of every earlier manoeuvre becomes better
+too. The uncertainty is computed from the differences between manoeuvres, because all samples of one
+manoeuvre have the same slope, the same bank and the same driver.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ MEDIAN_TO_STD = 1.4826
 class Manoeuvre:
     """Sums over the intervals of one straight braking or acceleration, in sensor axes.
 
-    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt and the
-    interval's weight. signed: True if the speed shows which way is forward. peak: largest dv/dt of
-    the manoeuvre [m/s^2].
+    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each
+    times dt and the interval's weight. signed: True if the speed shows which way is forward. peak:
+    largest dv/dt of the manoeuvre [m/s^2].
     """
 
     def __init__(self, start: float, signed: bool) -> None:
@@ -75,7 +75,9 @@ class Manoeuvre:
         lateral: float,
         weight: float,
     ) -> None:
-        """Take an interval: force (3,), dv/dt and v r, each minus its offset [m/s^2]."""
+        """Process an interval: force (3,), dv/dt and v r (speed times yaw rate), each minus its
+        offset [m/s^2].
+        """
         dt = interval.t1 - interval.t0
         x, y, z = f
         motion = (
@@ -103,8 +105,9 @@ class ManoeuvreBook:
         self._sums.append(manoeuvre.sums)
 
     def pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
-        """Return the sum of conj(R') (dv/dt + i v r) of each manoeuvre. The argument of this sum is
-        the manoeuvre's lambda.
+        """Return the sum of conj(R') (dv/dt + i v r) of each manoeuvre.
+
+        The argument of this sum is the manoeuvre's lambda.
         """
         sums = np.array(self._sums).reshape(-1, 12)
         along = sums[:, 0:3] @ R_level_from_sensor[:2].T

@@ -56,7 +56,7 @@ class TiltEstimator:
         self.still = self.departed = False
 
     def take_tick(self, tick: TickRow, force: Vector, clean: bool, speed: float) -> bool:
-        """Take a tick. Returns True if the tilt has changed.
+        """Process a tick. Returns True if the tilt has changed.
 
         force: (3,) [m/s^2]. clean: True if the force may be used for learning. speed: [m/s] or NaN.
         """
