@@ -804,7 +804,7 @@ class Evidence:
         def smooth(x: Array) -> Array:
             return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
 
-        R, moved = None, NO_ZERO  # mean of the motion's part of the force, sensor axes
+        R, moved = np.eye(3), NO_ZERO  # mean of the motion's part of the force, sensor axes
         for _ in range(LEVELLINGS):
             level_from_sensor = levelling_rotation(force[use].mean(axis=0) - moved)
             turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
