@@ -238,10 +238,8 @@ def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] 
 
 def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
     """Return the XOR difference (N,) between the stored checksums and checksums without an id."""
-    stored = data[:, spec.position].astype(np.uint16)
-    if spec.width == 2:
-        stored |= data[:, spec.position + 1].astype(np.uint16) << np.uint16(8)
-    return np.asarray(stored ^ Checksum(spec).compute_columns(data))
+    checksum = Checksum(spec)
+    return checksum.stored_columns(data) ^ checksum.compute_columns(data)
 
 
 def _difference(spec: ChecksumSpec, without: ChecksumSpec) -> int:
