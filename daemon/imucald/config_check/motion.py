@@ -25,6 +25,9 @@ SMOOTH = 11
 bumps."""
 DRIVEN_TICKS = 600
 """Driving time after which every correct signal of a vehicle has changed [ticks]: a minute."""
+LARGEST_RATE = 1.0
+"""Largest yaw rate from a course [rad/s]. A faster change is a jump of a receiver that begins to
+move."""
 MIN_STANDING_TICKS = 20
 """Smallest standing time that is used to measure zero errors (after smoothing) [ticks]: two
 seconds."""
@@ -233,9 +236,9 @@ class Motion:
             found["lateral_acceleration"] = smooth(grid["lateral_accel"]) / fast
         if self.planar and self.accel is not None:
             found["accelerometer.y"] = self.accel[:, 1] / fast
-        if HEADING.channel in grid:  # clockwise; the course of a standing vehicle is noise
-            change = change_of(smooth(grid[HEADING.channel]))
-            found[HEADING.key] = np.where(np.isfinite(fast), -change, np.nan)
+        if HEADING.channel in grid:  # the course of a standing vehicle is noise
+            rate = course_rate(grid[HEADING.channel])
+            found[HEADING.key] = np.where(np.isfinite(fast), rate, np.nan)
         return found
 
 
@@ -269,3 +272,15 @@ def change_of(x: Array) -> Array:
     the smoothing window."""
     half = SMOOTH // 2
     return (shifted(x, half) - shifted(x, -half)) * (TICK_RATE / (2 * half))
+
+
+def course_rate(course: Array) -> Array:
+    """Return the yaw rate (n,) [rad/s], positive to the left, from a course (n,) [rad] that is
+    clockwise and has no jumps by a full turn. NaN where the course changes faster than
+    `LARGEST_RATE`.
+
+    The difference over a second is the mean rate of that second, so the course is not smoothed
+    before.
+    """
+    rate = -change_of(course)
+    return np.where(np.abs(rate) <= LARGEST_RATE, rate, np.nan)

@@ -73,6 +73,8 @@ class SeenSignal:
     unavailable: tuple[int, ...]
     least: float
     largest: float
+    course: Array | None = None
+    """The values [rad] without jumps by a full turn, of a signal in a unit of angle."""
     raw: Mapping[str, Any] | None = None
     """Bytes and expression of a signal that no database describes."""
     sign_signal: str | None = None
@@ -376,8 +378,11 @@ def _candidate(
     index = np.minimum((t * TICK_RATE).astype(np.int64), ticks - 1)
     count = np.bincount(index, minlength=ticks)
     rows = np.flatnonzero(count)
-    means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
-    x = bridged(ticks, rows, means)
+
+    def means(of: Array) -> Array:
+        return bridged(ticks, rows, np.bincount(index, of, minlength=ticks)[rows] / count[rows])
+
+    x, radians = means(values), factor_of(signal.unit, "angle")
     levels = np.unique(values[:200_000])
     few = len(levels) <= FEW_LEVELS
     return SeenSignal(
@@ -392,6 +397,7 @@ def _candidate(
         unavailable=unavailable,
         least=float(values.min()),
         largest=float(values.max()),
+        course=None if radians is None else means(np.unwrap(values * radians)),
         source_address=one.senders[0] if one.senders else None,
     )
 
