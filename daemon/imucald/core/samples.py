@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -105,6 +105,19 @@ FLAGS = tuple(row.channel for row in QUANTITIES.values() if row.dimension == "fl
 def width_of(channel: str) -> int:
     """Return the number of values in a sample of a channel. Parallel sensors have three values."""
     return QUANTITIES[channel].width if channel in QUANTITIES else 3
+
+
+def speed_of_wheels(wheels: Sequence[float]) -> float:
+    """Return the speed of the vehicle from four wheel speeds: the mean of the two middle sizes, so
+    that one slipping or blocked wheel has no effect."""
+    _, b, c, _ = sorted(abs(v) for v in wheels)
+    return 0.5 * (b + c)
+
+
+def speeds_of_wheels(wheels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the result of `speed_of_wheels` for samples (N, 4): (N,)."""
+    ordered = np.sort(np.abs(wheels), axis=1)
+    return np.asarray(0.5 * (ordered[:, 1] + ordered[:, 2]))
 
 
 class Series(Struct, frozen=True):

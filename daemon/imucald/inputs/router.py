@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.e2e.protection import DOUBLED
 from imucald.core.arrays import distinct
-from imucald.core.samples import width_of
+from imucald.core.samples import speed_of_wheels, speeds_of_wheels, width_of
 from imucald.inputs.column_samples import (
     ColumnSamples,
     Routed,
@@ -284,8 +284,7 @@ class Router:
         samples.append((channel, values))
         self.sample_counts[channel] += 1
         if channel == "wheel_speeds" and self._derive_speed:
-            _, b, c, _ = sorted(abs(v) for v in values)
-            samples.append(("speed", (0.5 * (b + c),)))
+            samples.append(("speed", (speed_of_wheels(values),)))
             self.sample_counts["speed"] += 1
 
     def _routes_of(self, can_id: int) -> tuple[SignalRoute, ...]:
@@ -426,7 +425,6 @@ class Router:
             samples["speed"] = ColumnSamples(speed.t, np.abs(speed.values), speed.row)
         wheels = samples.get("wheel_speeds")
         if wheels is not None and self._derive_speed:
-            ordered = np.sort(np.abs(wheels.values), axis=1)
-            middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
-            samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
-            self.sample_counts["speed"] += len(middle)
+            speeds = speeds_of_wheels(wheels.values)
+            samples["speed"] = ColumnSamples(wheels.t, speeds, wheels.row)
+            self.sample_counts["speed"] += len(speeds)
