@@ -130,5 +130,14 @@ class Series(Struct, frozen=True):
     values: NDArray[np.float64]
 
 
+def direction_at(reverse: Series | None, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return -1 in reverse and 1 otherwise at the times t (N,) [s], from the last sample of the
+    reverse signal."""
+    if reverse is None or not len(reverse.t):
+        return np.ones(len(t))
+    rows = np.maximum(np.searchsorted(reverse.t, t, side="right") - 1, 0)
+    return np.asarray(1.0 - 2.0 * reverse.values[rows])
+
+
 Samples = Mapping[str, Series]
 """The samples of each channel, by its name. A channel without samples has no entry."""
