@@ -94,6 +94,7 @@ class _Times:
     def __init__(self) -> None:
         self._intervals: list[Array] = []
         self._count = 0
+        self._lost: tuple[int, float | None] = 0, None  # share of lost frames, at this count
         self.last: float | None = None
         """Stream time of the last frame [s]."""
 
@@ -115,7 +116,9 @@ class _Times:
 
     def lost_share(self, message: Message | None = None) -> float | None:
         """Share of lost frames, from the times. message: the message of all these frames."""
-        return lost_share(np.concatenate(self._intervals), message) if self._count else None
+        if self._count != self._lost[0]:
+            self._lost = self._count, lost_share(np.concatenate(self._intervals), message)
+        return self._lost[1]
 
 
 class Probe:
