@@ -323,8 +323,8 @@ class Router:
                 rows, times, codes = rows[ours], times[ours], codes[ours]  # noqa: PLW2901
                 data, length = data.compress(ours, axis=0), length[ours]
             ok = codes == OK
-            found_bad = distinct(codes[~ok]).tolist()
-            bad = {FRAME_REASONS[code]: np.flatnonzero(codes == code) for code in found_bad}
+            others = [] if ok.all() else distinct(codes[~ok]).tolist()
+            bad = {FRAME_REASONS[code]: np.flatnonzero(codes == code) for code in others}
             rejected = {**bad, **route.guard.judge_columns(times, ok, bad)}
             if self.watchers:
                 self.watchers[k].see_frames(times, data, length, bad, rejected)
