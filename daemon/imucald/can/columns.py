@@ -80,10 +80,6 @@ class FrameColumns(Struct, frozen=True, eq=False):
             None if self.fd is None else self.fd[index],
         )
 
-    def payloads(self, rows: NDArray[np.int64]) -> Payloads:
-        """Return the payloads of the selected frames."""
-        return Payloads(self.length.take(rows), self.data.take(rows, axis=0))
-
     def at(self, t: NDArray[np.float64]) -> FrameColumns:
         """Return the same frames with the times `t` (N,) [s]."""
         return structs.replace(self, t=t)
@@ -94,20 +90,6 @@ class FrameColumns(Struct, frozen=True, eq=False):
         columns = zip(self.t.tolist(), self.can_id.tolist(), self.length.tolist(), strict=True)
         for i, (t, can_id, length) in enumerate(columns):
             yield t, can_id, raw[i * width : i * width + length]
-
-
-class Payloads(Struct, frozen=True, eq=False):
-    """The payloads of N frames: length and data as in `FrameColumns`."""
-
-    length: NDArray[np.uint8]
-    data: NDArray[np.uint8]
-
-    def __len__(self) -> int:
-        return len(self.length)
-
-    def take(self, index: NDArray[np.bool_]) -> Payloads:
-        """Return the selected payloads."""
-        return Payloads(self.length[index], self.data.compress(index, axis=0))
 
 
 class IdMatch(Struct, frozen=True):

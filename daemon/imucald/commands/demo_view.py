@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.live import Live
 
@@ -43,12 +42,7 @@ class PlainView:
         )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Do nothing, because nothing is open."""
 
     def show(self, demo: Demonstration) -> None:
@@ -77,13 +71,8 @@ class LiveView:
         self._live.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._live.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._live.__exit__(*error)
 
     def show(self, demo: Demonstration) -> None:
         """Draw the picture when it is due."""

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from imucald.can.logs.frame_batches import columns_of_frames
 from imucald.commands.terminal import countdown
-from imucald.config_check import columns_of
 
 if TYPE_CHECKING:
     from imucald.can.columns import FrameColumns
@@ -22,11 +22,16 @@ def listen(link: Link, seconds: float, feed: Callable[[FrameColumns], None]) -> 
     with link, countdown(f"listening on {link.channel}", seconds) as tick:
         began = time.monotonic()
         waiting: list[Frame] = []
+
+        def pass_on() -> None:
+            frames = [(t, can_id, data, 0, False) for t, can_id, data in waiting]
+            feed(columns_of_frames(frames, (link.channel,)))
+            waiting.clear()
+
         while (passed := time.monotonic() - began) < seconds:
             waiting += link.receive(min(0.1, seconds - passed))
             if len(waiting) >= BATCH:
-                feed(columns_of(waiting, link.channel))
-                waiting = []
+                pass_on()
             tick(passed)
         if waiting:
-            feed(columns_of(waiting, link.channel))
+            pass_on()

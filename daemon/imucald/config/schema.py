@@ -9,8 +9,9 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
-import textwrap
+import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -88,11 +89,17 @@ def _within(base: type) -> Iterator[type]:
         yield found
 
 
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """Return the classes of a module by name, parsed."""
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
 def _texts(kind: type) -> dict[str, str]:
     """Return the docstring after each annotated name in the source of a class."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     found: dict[str, str] = {}
-    for field, text in itertools.pairwise(tree.body if isinstance(tree, ast.ClassDef) else []):
+    for field, text in itertools.pairwise(_classes(kind.__module__)[kind.__name__].body):
         match field, text:
             case (
                 ast.AnnAssign(target=ast.Name(id=name)),

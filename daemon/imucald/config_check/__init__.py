@@ -7,7 +7,7 @@ run` would decode them.
 
 from __future__ import annotations
 
-from imucald.config_check.checker import EVERY_FRAME, Check, columns_of
+from imucald.config_check.checker import EVERY_FRAME, Check
 from imucald.config_check.finding import Finding
 
-__all__ = ["EVERY_FRAME", "Check", "Finding", "columns_of"]
+__all__ = ["EVERY_FRAME", "Check", "Finding"]

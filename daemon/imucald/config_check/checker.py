@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,11 @@ from imucald.can.columns import (
     CAN_EFF_FLAG,
     CAN_EFF_MASK,
     CLASSIC_BYTES,
-    FD_BYTES,
     FrameColumns,
     IdMatch,
 )
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK
 from imucald.can.j1939_transport import announced_messages
-from imucald.can.link.link import Frame
 from imucald.config import LoadedConfig
 from imucald.config_check.decoding import Decoding, counts_text, never_changes
 from imucald.config_check.finding import Finding
@@ -272,18 +269,3 @@ def least_bits(frames: FrameColumns) -> int:
 
 def _shortened(text: str) -> str:
     return text if len(text) <= MAX_TEXT else text[:MAX_TEXT].rpartition(",")[0] + ", ..."
-
-
-def columns_of(frames: Sequence[Frame], channel: str) -> FrameColumns:
-    """Convert frames (t, id, data) of a live bus to columns."""
-    width = CLASSIC_BYTES if all(len(f[2]) <= CLASSIC_BYTES for f in frames) else FD_BYTES
-    data = b"".join(payload.ljust(width, b"\0") for _, _, payload in frames)
-    n = len(frames)
-    return FrameColumns(
-        t=np.array([t for t, _, _ in frames]),
-        can_id=np.array([can_id for _, can_id, _ in frames], dtype=np.uint32),
-        length=np.array([len(payload) for _, _, payload in frames], dtype=np.uint8),
-        data=np.frombuffer(data, np.uint8).reshape(n, width),
-        channel=np.zeros(n, np.uint8),
-        channels=(channel,),
-    )

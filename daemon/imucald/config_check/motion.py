@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.vehicle import VehicleSettings
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Flags
 from imucald.core.samples import HEADING, Samples, width_of
 from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
@@ -28,6 +28,13 @@ DRIVEN_TICKS = 600
 """Driving time after which every correct signal of a vehicle has changed [ticks of 0.1 s]: a
 minute.
 """
+MOVING = 3.0
+"""Smallest speed for the comparison of turns [m/s]. A slower vehicle may be reversing, and with an
+unsigned speed, left and right are then exchanged. A smaller speed would also be a division by
+nearly zero in the curvature."""
+LARGEST_RATE = 1.0
+"""Largest yaw rate from a course [rad/s]. A faster change is a jump of a receiver that begins to
+move."""
 MIN_STANDING_TICKS = 20
 """Smallest standing time that is used to measure zero errors (after smoothing) [ticks of 0.1 s]:
 two seconds."""
@@ -138,7 +145,7 @@ class Motion:
             self.speed = smooth(self._direction() * grid["speed"])
             self.change = change_of(self.speed)
         self.accel = smooth(grid["accel"]) if "accel" in grid else None
-        self.standing = self._standing()
+        self.standing = None if self.speed is None else standing_at(self.speed)
         self.gravity = self._gravity()
 
     def scaled(self, accel: float = 1.0, speed: float = 1.0) -> Motion:
@@ -186,13 +193,6 @@ class Motion:
         """Driving direction: -1 in reverse, else 1. Shape (n,), or (1,) if reverse is unknown."""
         return np.where(np.nan_to_num(self.grid.get("reverse", np.zeros(1))) > 0.5, -1.0, 1.0)
 
-    def _standing(self) -> NDArray[np.bool_] | None:
-        """Mask (n,) of the ticks at rest; None if there are too few."""
-        if self.speed is None:
-            return None
-        calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
-        return calm if np.count_nonzero(calm) >= MIN_STANDING_TICKS else None
-
     def _gravity(self) -> Array | None:
         """Mean specific force at rest (3,) [m/s^2]; mean of the whole drive if there is no rest."""
         if self.accel is None:
@@ -214,31 +214,28 @@ class Motion:
         found: dict[str, Array] = {}
         grid = self.grid
         if "gyro" in grid and self.up is not None and not self.planar:
-            rate = smooth(grid["gyro"]) @ self.up
-            if self.standing is not None and np.isfinite(rate[self.standing]).any():
-                rate = rate - np.nanmean(rate[self.standing])
-            found["gyroscope"] = rate
+            found["gyroscope"] = rate_about(self.up, smooth(grid["gyro"]), self.standing)
         if "yaw_rate" in grid:
             found["yaw_rate"] = smooth(grid["yaw_rate"])
         if "wheel_speeds" in grid:
             wheels = grid["wheel_speeds"]
-            right_less_left = 0.5 * (wheels[:, 1] - wheels[:, 0] + wheels[:, 3] - wheels[:, 2])
+            difference = right_less_left(*wheels.T)
             if not np.nanmin(wheels, initial=0.0) < 0.0:  # magnitudes, as usual in vehicles
-                right_less_left = right_less_left * self._direction()
-            found["wheel_speeds"] = smooth(right_less_left) / vehicle.track
+                difference = difference * self._direction()
+            found["wheel_speeds"] = smooth(difference) / vehicle.track
         if self.speed is None:
             return found
         if "steering" in grid:
             angle = smooth(grid["steering"]) / vehicle.steering_ratio
             found["steering_wheel_angle"] = self.speed * angle / vehicle.wheelbase
-        fast = np.where(np.abs(self.speed) > 3.0, self.speed, np.nan)
+        fast = moving(self.speed)
         if "lateral_accel" in grid:
             found["lateral_acceleration"] = smooth(grid["lateral_accel"]) / fast
         if self.planar and self.accel is not None:
             found["accelerometer.y"] = self.accel[:, 1] / fast
-        if HEADING.channel in grid:  # clockwise; the course of a standing vehicle is noise
-            change = change_of(smooth(grid[HEADING.channel]))
-            found[HEADING.key] = np.where(np.isfinite(fast), -change, np.nan)
+        if HEADING.channel in grid:  # the course of a standing vehicle is noise
+            rate = course_rate(grid[HEADING.channel])
+            found[HEADING.key] = np.where(np.isfinite(fast), rate, np.nan)
         return found
 
 
@@ -272,3 +269,42 @@ def change_of(x: Array) -> Array:
     the smoothing window."""
     half = SMOOTH // 2
     return (shifted(x, half) - shifted(x, -half)) * (TICK_RATE / (2 * half))
+
+
+def standing_at(speed: Array) -> Flags | None:
+    """Return a mask (n,) of the ticks at rest from a smoothed speed [m/s]; None if they are too
+    few."""
+    calm = np.nan_to_num(np.abs(speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
+    return calm if np.count_nonzero(calm) >= MIN_STANDING_TICKS else None
+
+
+def rate_about(up: Array, rate: Array, standing: Flags | None) -> Array:
+    """Return the rate (n,) about the vertical, minus its mean at rest. up: (3,) unit vector. rate:
+    (n, 3), smoothed, in the same axes."""
+    about = rate @ up
+    if standing is not None and np.isfinite(about[standing]).any():
+        about = about - np.nanmean(about[standing])
+    return np.asarray(about)
+
+
+def moving(speed: Array) -> Array:
+    """Return a speed (n,) [m/s]; NaN where it is not above `MOVING`."""
+    return np.where(np.abs(speed) > MOVING, speed, np.nan)
+
+
+def right_less_left(fl: Array, fr: Array, rl: Array, rr: Array) -> Array:
+    """Return how much faster the right wheels are than the left wheels (n,), from the speeds (n,)
+    of the four wheels in one unit."""
+    return 0.5 * (fr - fl + rr - rl)
+
+
+def course_rate(course: Array) -> Array:
+    """Return the yaw rate (n,) [rad/s], positive to the left, from a course (n,) [rad] that is
+    clockwise and has no jumps by a full turn. NaN where the course changes faster than
+    `LARGEST_RATE`.
+
+    The difference over a second is the mean rate of that second, so the course is not smoothed
+    before.
+    """
+    rate = -change_of(course)
+    return np.where(np.abs(rate) <= LARGEST_RATE, rate, np.nan)

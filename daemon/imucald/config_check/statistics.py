@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FD_BYTES
+from imucald.can.dbc.bits import Columns as Bytes
 from imucald.can.dbc.message import Message, Selectors
 from imucald.can.e2e.protection import DOUBLED
 from imucald.can.lost_frames import lost_share
-from imucald.core.arrays import Array, Flags, Index
+from imucald.core.arrays import Array, Index
 from imucald.inputs.conversion import REASONS, Conversion
-from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
+from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.taps import Columns, Tap
 
 CYCLE_FRAMES = 5000
@@ -93,6 +94,7 @@ class _Times:
     def __init__(self) -> None:
         self._intervals: list[Array] = []
         self._count = 0
+        self._lost: tuple[int, float | None] = 0, None  # share of lost frames, at this count
         self.last: float | None = None
         """Stream time of the last frame [s]."""
 
@@ -114,7 +116,9 @@ class _Times:
 
     def lost_share(self, message: Message | None = None) -> float | None:
         """Share of lost frames, computed from the times. message: the message of these frames."""
-        return lost_share(np.concatenate(self._intervals), message) if self._count else None
+        if self._count != self._lost[0]:
+            self._lost = self._count, lost_share(np.concatenate(self._intervals), message)
+        return self._lost[1]
 
 
 class Probe:
@@ -210,27 +214,24 @@ class Probe:
     def see_frames(
         self,
         t: Array,
-        frames: Carried,
-        good: Flags,
+        data: Bytes,
+        length: NDArray[np.uint8],
         bad: Mapping[str, Index],
         rejected: Mapping[str, Index],
     ) -> None:
         """Count frames and rejections."""
         for reason, rows in rejected.items():
             self.rejected[reason] += len(rows)
-        ours = good.copy()
-        for rows in bad.values():
-            ours[rows] = True
-        self.frames += int(np.count_nonzero(ours))
-        if len(frames) and ours.any():
-            self.shortest = min(self.shortest, int(frames.length[ours].min()))
+        self.frames += len(t)
+        self.shortest = min(self.shortest, int(length.min(initial=FD_BYTES)))
+        own = np.ones(len(t), dtype=bool)
         if DOUBLED in bad:  # the original frame has the same time
-            ours[bad[DOUBLED]] = False
-        self._times.add_times(t[ours])
+            own[bad[DOUBLED]] = False
+        self._times.add_times(t[own])
         if isinstance(self.route, MessageRoute):
-            presence = self.route.plan.presence(frames.data, frames.length)
+            presence = self.route.plan.presence(data, length)
             for selectors, present in presence.items():
-                self._of_groups.setdefault(selectors, _Times()).add_times(t[ours & present])
+                self._of_groups.setdefault(selectors, _Times()).add_times(t[own & present])
 
     def see_values(self, columns: Columns) -> None:
         """Add values to the ranges of the signals."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,8 +33,8 @@ IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 Number = TypeVar("Number", float, NDArray[np.float64])
 
 
-def times(m: Rows, v: Sequence[float]) -> Vector:
-    """Return matrix times vector (3,)."""
+def times(m: Sequence[Number], v: Sequence[Number]) -> tuple[Number, Number, Number]:
+    """Return matrix, row by row (9,), times vector (3,): numbers or columns of numbers."""
     a, b, c, d, e, f, g, h, i = m
     x, y, z = v
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
@@ -52,9 +52,8 @@ def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[
 
     rows: (N, 9) or (1, 9), matrices row by row; further columns are ignored.
     """
-    x, y, z = v[:, 0], v[:, 1], v[:, 2]
-    r = rows.T
-    return np.array([r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]).T
+    components: tuple[Any, ...] = times(list(rows.T[:9]), list(v.T))
+    return np.array(components).T
 
 
 def times_level(m: Rows, v: Sequence[float]) -> Vector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -107,6 +107,19 @@ def width_of(channel: str) -> int:
     return QUANTITIES[channel].width if channel in QUANTITIES else 3
 
 
+def speed_of_wheels(wheels: Sequence[float]) -> float:
+    """Return the speed of the vehicle from four wheel speeds: the mean of the two middle sizes, so
+    that one slipping or blocked wheel has no effect."""
+    _, b, c, _ = sorted(abs(v) for v in wheels)
+    return 0.5 * (b + c)
+
+
+def speeds_of_wheels(wheels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the result of `speed_of_wheels` for samples (N, 4): (N,)."""
+    ordered = np.sort(np.abs(wheels), axis=1)
+    return np.asarray(0.5 * (ordered[:, 1] + ordered[:, 2]))
+
+
 class Series(Struct, frozen=True):
     """Samples of one channel, in time order.
 
@@ -115,6 +128,15 @@ class Series(Struct, frozen=True):
 
     t: NDArray[np.float64]
     values: NDArray[np.float64]
+
+
+def direction_at(reverse: Series | None, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return -1 in reverse and 1 otherwise at the times t (N,) [s], from the last sample of the
+    reverse signal."""
+    if reverse is None or not len(reverse.t):
+        return np.ones(len(t))
+    rows = np.maximum(np.searchsorted(reverse.t, t, side="right") - 1, 0)
+    return np.asarray(1.0 - 2.0 * reverse.values[rows])
 
 
 Samples = Mapping[str, Series]

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, IdMatch
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, FrameColumns, IdMatch
 from imucald.can.dbc.database import Database
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
@@ -23,7 +23,7 @@ from imucald.core.arrays import Array
 from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
-from imucald.inputs.sender_choice import AS_OFTEN, SENDER_SETTLING
+from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.settings_of_signals import no_values
 from imucald.inputs.sign_bit import SignBit
 from imucald.inputs.units import is_unit
@@ -39,8 +39,6 @@ available'."""
 SMALL_AT_SIGN = 0.3
 """Largest size of a magnitude when its sign bit changes, relative to the mean size of the
 magnitude. If the bit is not the sign bit, the size at a change is about the mean size."""
-NOT_AVAILABLE_BYTE = 0xFF
-"""The fill byte of a J1939 message without values."""
 WRAPPED, JOINED = 0.9, 0.5
 """Sizes of a step, relative to the range of the raw value. If a signed number is read as unsigned,
 a change of its sign is a step of nearly the whole range. If the number is read as signed, the same
@@ -73,6 +71,8 @@ class SeenSignal:
     unavailable: tuple[int, ...]
     least: float
     largest: float
+    course: Array | None = None
+    """The values [rad] without jumps by a full turn, of a signal in a unit of angle."""
     raw: Mapping[str, Any] | None = None
     """Bytes and expression of a signal that no database describes."""
     sign_signal: str | None = None
@@ -200,43 +200,39 @@ def messages_in(
         parts = [
             p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]
         ]
-        senders: tuple[int, ...] = ()
-        if not match.mask & J1939_ADDRESS_MASK:
-            frames: dict[int, int] = {}
-            for part in parts:
-                address = part.can_id & J1939_ADDRESS_MASK
-                frames[address] = frames.get(address, 0) + len(part)
-            senders = tuple(sorted(a for a, n in frames.items() if n >= MIN_FRAMES))
-        if len(senders) > 1:
-            # Same choice as in a route: the lowest address that sent regularly at first.
-            speaking = {p.can_id & J1939_ADDRESS_MASK for p in parts if _says_something(p)}
-            heard = [p for p in parts if p.can_id & J1939_ADDRESS_MASK in speaking] or parts
-            late = min(p.t[0] for p in heard) + SENDER_SETTLING
-            counts = {
-                p.can_id & J1939_ADDRESS_MASK: int(p.t.searchsorted(late, "right")) for p in heard
-            }
-            least = max(counts.values()) / AS_OFTEN
-            first_ones = {address for address, count in counts.items() if count >= least}
-            senders = tuple(
-                sorted(senders, key=lambda a: (a not in speaking, a not in first_ones, a))
-            )
-            parts = [p for p in parts if p.can_id & J1939_ADDRESS_MASK == senders[0]]
         t = np.concatenate([p.t for p in parts])
         order = np.argsort(t, kind="stable")
-        yield MessageTraffic(
-            message,
-            first,
+        frames = FrameColumns(
             t[order],
-            np.concatenate([p.data for p in parts])[order],
+            np.concatenate([np.full(len(p), p.can_id, np.uint32) for p in parts])[order],
             np.concatenate([p.length for p in parts])[order],
-            senders if len(senders) > 1 else (),
+            np.concatenate([p.data for p in parts])[order],
+            np.zeros(len(t), np.uint8),
+            (first,),
         )
+        senders: tuple[int, ...] = ()
+        if not match.mask & J1939_ADDRESS_MASK:
+            address = frames.can_id & np.uint32(J1939_ADDRESS_MASK)
+            found, counts = np.unique(address, return_counts=True)
+            often: list[int] = found[counts >= MIN_FRAMES].tolist()
+            if len(often) > 1:
+                chosen = _chosen_sender(frames, often)
+                senders = (chosen, *(other for other in often if other != chosen))
+                frames = frames.take(address == chosen)
+        yield MessageTraffic(message, first, frames.t, frames.data, frames.length, senders)
 
 
-def _says_something(one: Traffic) -> bool:
-    """True if any byte differs from 0xFF ("not available" in J1939)."""
-    rows, at = np.arange(one.data.shape[1]), one.length[:, np.newaxis]
-    return bool(((one.data != NOT_AVAILABLE_BYTE) & (rows < at)).any())
+def _chosen_sender(frames: FrameColumns, often: Sequence[int]) -> int:
+    """Return the sender of a J1939 message that `run` chooses, if it is one of those that sent
+    often enough; else the first of these.
+    """
+    choice = SenderChoice()
+    for t, can_id, data in frames.rows():
+        if choice.is_settled(t):
+            break
+        choice.takes(t, can_id, data)
+    found = choice.address
+    return found if found is not None and found in often else often[0]
 
 
 def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
@@ -376,8 +372,11 @@ def _candidate(
     index = np.minimum((t * TICK_RATE).astype(np.int64), ticks - 1)
     count = np.bincount(index, minlength=ticks)
     rows = np.flatnonzero(count)
-    means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
-    x = bridged(ticks, rows, means)
+
+    def means(of: Array) -> Array:
+        return bridged(ticks, rows, np.bincount(index, of, minlength=ticks)[rows] / count[rows])
+
+    x, radians = means(values), factor_of(signal.unit, "angle")
     levels = np.unique(values[:200_000])
     few = len(levels) <= FEW_LEVELS
     return SeenSignal(
@@ -392,6 +391,7 @@ def _candidate(
         unavailable=unavailable,
         least=float(values.min()),
         largest=float(values.max()),
+        course=None if radians is None else means(np.unwrap(values * radians)),
         source_address=one.senders[0] if one.senders else None,
     )
 

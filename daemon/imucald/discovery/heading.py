@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucald.config_check.motion import shifted
+from imucald.config_check.motion import course_rate, shifted
 from imucald.config_check.relation import Relation, relation
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.names import hint
@@ -21,14 +21,6 @@ from imucald.discovery.proposal import Choice, source_of
 from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
 from imucald.discovery.scalars import RELATED, SAME_MOTION, by_unit_and_name
 
-SPAN = 10
-"""Time over which a change of the heading is computed [ticks of 0.1 s].
-
-A receiver sends at 1 Hz.
-"""
-LARGEST_CHANGE = 1.0
-"""Largest change of the heading in the time `SPAN` [rad]. A larger change is the jump from 360 to 0
-deg."""
 GAIN = 1.5
 """Largest accepted gain ratio. It is between 1 (right unit) and 2 (wrong unit by a factor of
 two)."""
@@ -86,14 +78,10 @@ def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Hea
         turn = np.where(np.isfinite(reference.speed.moving), turn, np.nan)
     best: HeadingFit | None = None
     for c in candidates:
-        unit = stated_unit(c, "angle") if not c.is_constant else None
-        if unit is None:
+        if c.course is None or c.is_constant:
             continue
-        turned = shifted(c.x, SPAN // 2) - shifted(c.x, -SPAN // 2)
-        turned = np.mod(turned * unit.factor + np.pi, 2.0 * np.pi) - np.pi
-        turned[np.abs(turned) > LARGEST_CHANGE] = np.nan
-        turned /= SPAN / 10.0
-        fits = (HeadingFit(c, relation(-turn, shifted(turned, d)), d) for d in DELAYS)
+        clockwise = -course_rate(c.course)
+        fits = (HeadingFit(c, relation(-turn, shifted(clockwise, d)), d) for d in DELAYS)
         one = max(fits, key=lambda f: f.relation.explained)
         found = one.relation
         # the delay of a receiver's fixes varies, which is noise in the change of its course

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imucald.config_check.motion import change_of
+from imucald.config_check.motion import change_of, right_less_left
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
@@ -156,7 +156,7 @@ def _sides(
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):
             fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
-            found = relation(yaw.smooth / v, (fr - fl + rr - rl) / v)
+            found = relation(yaw.smooth / v, right_less_left(fl, fr, rl, rr) / v)
             if found.is_believed_of(1):
                 return found.sign, BY_WHEELS
     if _LEFT.search(yaw.signal.comment):

@@ -68,8 +68,9 @@ def find_protection(one: MessageTraffic) -> ProtectionFound | None:
     counter = _counter(one, data)
     if counter is not None:
         settings["counter"], evidence["counter"] = counter
-    checksum = _checksum_in_signal(one, data)
-    if checksum is None:
+    is_varied = len({row.tobytes() for row in data}) >= MIN_DIFFERENT
+    checksum = _checksum_in_signal(one, data) if is_varied else None
+    if checksum is None and is_varied:
         checksum = next(_e2e(one.message.length, data), None)
         if checksum is not None:  # its profile defines the counter
             settings.pop("counter", None)
@@ -130,8 +131,6 @@ def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, A
 
 
 def _share(spec: ChecksumSpec, data: Columns) -> float:
-    if len(np.unique(data, axis=0)) < MIN_DIFFERENT:
-        return 0.0
     checksum = Checksum(spec)
     if not checksum.are_right(data[:50]).any():
         return 0.0
@@ -238,10 +237,8 @@ def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] 
 
 def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
     """Return the XOR difference (N,) between the stored checksums and checksums without an id."""
-    stored = data[:, spec.position].astype(np.uint16)
-    if spec.width == 2:
-        stored |= data[:, spec.position + 1].astype(np.uint16) << np.uint16(8)
-    return np.asarray(stored ^ Checksum(spec).compute_columns(data))
+    checksum = Checksum(spec)
+    return checksum.stored_columns(data) ^ checksum.compute_columns(data)
 
 
 def _difference(spec: ChecksumSpec, without: ChecksumSpec) -> int:

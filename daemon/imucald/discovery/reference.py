@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config_check.motion import change_of, shifted
+from imucald.config_check.motion import change_of, moving, shifted
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
@@ -28,10 +28,6 @@ asked once per second."""
 GAIN_TOLERANCE = 1.25
 """Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
 have gains of 0.8 to 1.2."""
-MOVING = 3.0
-"""Smallest speed for the comparison of turns [m/s]. A slower vehicle may be reversing, and with an
-unsigned speed, left and right are then exchanged. A smaller speed would also be a division by
-nearly zero in the curvature."""
 LEAST_SPEED_BITS = 7
 
 
@@ -105,11 +101,6 @@ class KnownMotion:
         if self.turn is None or self.speed is None:
             return None
         return self.turn / self.speed.moving
-
-
-def moving(speed: Array) -> Array:
-    """Return a speed (n,) [m/s]; NaN where it is not above MOVING."""
-    return np.where(np.abs(speed) > MOVING, speed, np.nan)
 
 
 def direction_up(accelerometer: Triad) -> Array:

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from imucald.config_check.motion import rate_about, standing_at
 from imucald.config_check.relation import Relation
 from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import SeenSignal
@@ -231,11 +229,8 @@ class Sensors:
         choice, order, triad = gyroscope_choice(triad, fit, found[1:])
         self.taken |= {m.path for m in triad.members}
         if reference.up is not None:
-            rate = signed(triad.smooth, order) @ reference.up
-            standing = _standing(reference)
-            if standing is not None:
-                rate = rate - np.nanmean(rate[standing])
-            reference.turn = rate
+            standing = None if reference.speed is None else standing_at(reference.speed.speed)
+            reference.turn = rate_about(reference.up, signed(triad.smooth, order), standing)
             if not reference.sides_from:
                 reference.sides_from = "the gyroscope, if it is right-handed"
         return choice
@@ -273,13 +268,6 @@ def _speed_words(fit: SpeedFit) -> str:
         f"its changes show in the accelerometer (correlation {r.correlation:.2f}, "
         f"gain {gain:.2f} in {fit.unit.name}{late})"
     )
-
-
-def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
-    if reference.speed is None:
-        return None
-    rows = np.nan_to_num(np.abs(reference.speed.speed), nan=np.inf) < 0.3
-    return rows if np.count_nonzero(rows) > 20 else None
 
 
 def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from imucald.config_check.motion import less
+from imucald.config_check.motion import less, moving, right_less_left
 from imucald.config_check.relation import Relation, relation
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import UnitChoice
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
-from imucald.discovery.reference import KnownMotion, moving
+from imucald.discovery.reference import KnownMotion
 
 SAME_SPEED = 0.1
 """Largest relative difference between the mean wheel speeds of one vehicle. Different tyres cause 3
@@ -173,7 +173,7 @@ def _track(
         return None
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)
     v = moving(0.25 * (fl + fr + rl + rr))
-    return relation(reference.turn / v, 0.5 * (fr - fl + rr - rl) / v)
+    return relation(reference.turn / v, right_less_left(fl, fr, rl, rr) / v)
 
 
 def _metres(track: Relation | None) -> float | None:

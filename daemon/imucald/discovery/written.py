@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from imucald.core.samples import QUANTITIES
@@ -143,16 +144,6 @@ def _is_plain(text: str) -> bool:
 
 
 def _comment(text: str, indent: str) -> Iterator[str]:
-    yield from (f"{indent}# {line}" for line in _wrapped(text, WIDTH - len(indent) - 2))
-
-
-def _wrapped(text: str, width: int) -> Iterable[str]:
-    line = ""
-    for word in text.split():
-        if line and len(line) + 1 + len(word) > width:
-            yield line
-            line = word
-        else:
-            line = f"{line} {word}" if line else word
-    if line:
-        yield line
+    width = WIDTH - len(indent) - 2
+    lines = textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False)
+    yield from (f"{indent}# {line}" for line in lines)

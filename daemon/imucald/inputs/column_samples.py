@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.core.samples import Series, width_of
-from imucald.inputs.routes import SignalRoute
 from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler, in_row_order
 from imucald.inputs.taps import Tap
 
@@ -98,34 +97,6 @@ def assembled(
         values_array if width > 1 else values_array[:, 0],
         np.array(rows_out, dtype=np.int64),
     )
-
-
-def guarded(
-    route: SignalRoute,
-    t: NDArray[np.float64],
-    ok: NDArray[np.bool_],
-    reasons: Mapping[str, Rows],
-) -> tuple[NDArray[np.bool_], Mapping[str, Rows]]:
-    """Apply a route's check to frames, and reject frames that exceed the allowed rate."""
-    ours = ok.copy()
-    for rows in reasons.values():
-        ours[rows] = True
-    if ours.all():
-        refused = route.guard.judge_columns(t, ok, reasons)
-    else:
-        at = np.flatnonzero(ours)
-        place = np.cumsum(ours) - 1
-        inside = {reason: place[rows] for reason, rows in reasons.items()}
-        refused = {
-            reason: at[rows]
-            for reason, rows in route.guard.judge_columns(t[ours], ok[ours], inside).items()
-        }
-    if not refused:
-        return ok, reasons
-    ok = ok.copy()
-    for rows in refused.values():
-        ok[rows] = False
-    return ok, {**reasons, **refused}
 
 
 def rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:

@@ -15,19 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
-from imucald.can.e2e.protection import DOUBLED
+from imucald.can.dbc.bits import Columns as Bytes
+from imucald.can.e2e.protection import DOUBLED, OK
+from imucald.can.e2e.protection import REASONS as FRAME_REASONS
 from imucald.core.arrays import distinct
-from imucald.core.samples import width_of
+from imucald.core.samples import speed_of_wheels, speeds_of_wheels, width_of
 from imucald.inputs.column_samples import (
     ColumnSamples,
     Routed,
     assembled,
-    guarded,
     joined,
     rows_of,
 )
 from imucald.inputs.conversion import REASONS
-from imucald.inputs.routes import Carried, MessageRoute, SignalRoute
+from imucald.inputs.routes import NOT_OURS, MessageRoute, SignalRoute
 from imucald.inputs.sender_choice import Asked, taken
 from imucald.inputs.sender_choice import joined as joined_senders
 from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler
@@ -51,13 +52,13 @@ class RouteWatcher(Protocol):
     def see_frames(
         self,
         t: NDArray[np.float64],
-        frames: Carried,
-        good: NDArray[np.bool_],
+        data: Bytes,
+        length: NDArray[np.uint8],
         bad: Mapping[str, Rows],
         rejected: Mapping[str, Rows],
     ) -> None:
-        """Process frames with the results of `check_columns` (good, bad). rejected: the bad frames
-        and the frames that exceed the allowed rate, by reason."""
+        """Process the frames of the route. bad: rows of the frames that the route's own check
+        rejected, by reason. rejected: these frames and the frames that exceed the allowed rate."""
 
     def see_values(self, columns: Columns) -> None:
         """Process the values of accepted frames."""
@@ -284,8 +285,7 @@ class Router:
         samples.append((channel, values))
         self.sample_counts[channel] += 1
         if channel == "wheel_speeds" and self._derive_speed:
-            _, b, c, _ = sorted(abs(v) for v in values)
-            samples.append(("speed", (0.5 * (b + c),)))
+            samples.append(("speed", (speed_of_wheels(values),)))
             self.sample_counts["speed"] += 1
 
     def _routes_of(self, can_id: int) -> tuple[SignalRoute, ...]:
@@ -315,21 +315,31 @@ class Router:
         for k, rows in enumerate(self._chosen(t, frames, found)):
             if not len(rows):
                 continue
-            route, times, chosen = self.routes[k], t.take(rows), frames.payloads(rows)
-            passed = route.check_columns(times, chosen)
-            ok, reasons = guarded(route, times, *passed)
+            route, times = self.routes[k], t.take(rows)
+            data, length = frames.data.take(rows, axis=0), frames.length.take(rows)
+            codes = route.check_columns(times, data, length)
+            ours = codes != NOT_OURS
+            if not ours.all():
+                rows, times, codes = rows[ours], times[ours], codes[ours]  # noqa: PLW2901
+                data, length = data.compress(ours, axis=0), length[ours]
+            ok = codes == OK
+            others = [] if ok.all() else distinct(codes[~ok]).tolist()
+            bad = {FRAME_REASONS[code]: np.flatnonzero(codes == code) for code in others}
+            rejected = {**bad, **route.guard.judge_columns(times, ok, bad)}
             if self.watchers:
-                self.watchers[k].see_frames(times, chosen, *passed, reasons)
-            for reason, bad in reasons.items():
-                self.rejected[reason] += len(bad)
-                events.append(rows[bad])
+                self.watchers[k].see_frames(times, data, length, bad, rejected)
+            for reason, at in rejected.items():
+                ok[at] = False
+                self.rejected[reason] += len(at)
+                events.append(rows[at])
                 if reason == DOUBLED:
                     continue
-                refused += [(tap, rows[bad]) for tap in route.taps]
-            if not ok.all():
-                rows, times, chosen = rows[ok], times[ok], chosen.take(ok)  # noqa: PLW2901
+                refused += [(tap, rows[at]) for tap in route.taps]
+            if rejected:
+                rows, times = rows[ok], times[ok]  # noqa: PLW2901
+                data, length = data.compress(ok, axis=0), length[ok]
             used[rows] = True
-            columns = route.number_columns(times, rows, chosen)
+            columns = route.number_columns(times, rows, data, length)
             if self.watchers:
                 self.watchers[k].see_values(columns)
             self._take_columns(route, times, rows, columns, parts, values, events)
@@ -426,7 +436,6 @@ class Router:
             samples["speed"] = ColumnSamples(speed.t, np.abs(speed.values), speed.row)
         wheels = samples.get("wheel_speeds")
         if wheels is not None and self._derive_speed:
-            ordered = np.sort(np.abs(wheels.values), axis=1)
-            middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
-            samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
-            self.sample_counts["speed"] += len(middle)
+            speeds = speeds_of_wheels(wheels.values)
+            samples["speed"] = ColumnSamples(wheels.t, speeds, wheels.row)
+            self.sample_counts["speed"] += len(speeds)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, IdMatch, Payloads
+from imucald.can.columns import CAN_EFF_FLAG, IdMatch
+from imucald.can.dbc.bits import Columns as Bytes
 from imucald.can.dbc.decode import J1939_ADDRESS_MASK, DecodePlan
-from imucald.can.e2e.protection import OK, REASONS, SHORT, MessageChecker
-from imucald.core.arrays import distinct
+from imucald.can.e2e.protection import OK, SHORT, MessageChecker
 from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.sender_choice import SenderChoice
 from imucald.inputs.sign_bit import SignBit
@@ -22,8 +22,8 @@ from imucald.inputs.taps import Columns, Physical, Raw, Tap
 if TYPE_CHECKING:
     from imucald.inputs.expression import Expression
 
-Carried = FrameColumns | Payloads
-"""Frames (N,). A route reads only their payloads."""
+NOT_OURS = 255
+"""Code of a frame that is not for the route, next to the codes of `can.e2e.protection`."""
 
 SENSORS = frozenset({"accel", "gyro", "mag", "parallel"})
 """Channels of mounted sensors. The sensors of two senders have different mounts."""
@@ -131,22 +131,20 @@ class MessageRoute:
         return found
 
     def check_columns(
-        self, t: NDArray[np.float64], frames: Carried
-    ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """Do the work of `check` for columns."""
-        codes = self.checker.check_columns(t, frames.data, frames.length)
-        ok = codes == 0
-        if ok.all():
-            return ok, {}
-        return ok, {
-            REASONS[code]: np.flatnonzero(codes == code) for code in distinct(codes[~ok]).tolist()
-        }
+        self, t: NDArray[np.float64], data: Bytes, length: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Do the work of `check` for payloads (N, W) with lengths (N,). Return the codes (N,)."""
+        return self.checker.check_columns(t, data, length)
 
     def number_columns(
-        self, t: NDArray[np.float64], row: NDArray[np.int64], frames: Carried
+        self,
+        t: NDArray[np.float64],
+        row: NDArray[np.int64],
+        data: Bytes,
+        length: NDArray[np.uint8],
     ) -> Columns:
         """Decode columns. row: (N,) rows of the frames in their chunk."""
-        found = self.plan.decode_columns(frames.data, frames.length)
+        found = self.plan.decode_columns(data, length)
         columns = list(zip(found.raw, found.values, found.present, strict=True))
         for index, given in self.given.items():
             bit, _, known = columns[index]
@@ -222,25 +220,26 @@ class RawRoute:
         return (number,), (number if math.isfinite(number) else math.nan,)
 
     def check_columns(
-        self, t: NDArray[np.float64], frames: Carried
-    ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
-        """Do the work of `check` for columns."""
-        ours = np.ones(len(frames), dtype=bool)
-        if self._when is not None:
-            ours = (frames.length >= self._when.needs) & self._when.hold(frames.data, frames.length)
-        codes = np.zeros(len(frames), np.uint8)
+        self, t: NDArray[np.float64], data: Bytes, length: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Do the work of `check` for payloads (N, W) with lengths (N,). Return the codes (N,)."""
+        codes = np.zeros(len(t), np.uint8)
         if self.checker is not None:
-            codes = self.checker.check_columns(t, frames.data, frames.length)
-        codes[(codes == OK) & (frames.length < self._value.needs)] = SHORT
-        found = distinct(codes[ours & (codes != OK)]).tolist()
-        reasons = {REASONS[code]: np.flatnonzero(ours & (codes == code)) for code in found}
-        return ours & (codes == OK), reasons
+            codes = self.checker.check_columns(t, data, length)
+        codes[(codes == OK) & (length < self._value.needs)] = SHORT
+        if self._when is not None:
+            codes[~((length >= self._when.needs) & self._when.hold(data, length))] = NOT_OURS
+        return codes
 
     def number_columns(
-        self, t: NDArray[np.float64], row: NDArray[np.int64], frames: Carried
+        self,
+        t: NDArray[np.float64],
+        row: NDArray[np.int64],
+        data: Bytes,
+        length: NDArray[np.uint8],
     ) -> Columns:
         """Return the values."""
-        numbers = self._value.numbers(frames.data, frames.length)
+        numbers = self._value.numbers(data, length)
         return [(numbers, numbers, None)]
 
 

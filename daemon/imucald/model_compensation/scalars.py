@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -22,18 +23,15 @@ class ScalarCompensator:
 
     def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
         """Correct one sample; None if it is refused."""
-        x = (v[0] - self._offset) / self._gain
-        if self._low <= abs(v[0]) <= self._high or not -self._limit <= x <= self._limit:
-            return None
-        return (x,)
+        x, refused = self.columns(v[0])
+        return None if refused else (x,)
 
-    def columns(self, v: Array) -> tuple[Array, Flags]:
-        """Correct samples (N,) as `sample` does. Returns the results and flags of the refused
+    def columns(self, v: Any) -> tuple[Any, Any]:
+        """Correct samples (N,), or one number. Returns the results and flags of the refused
         samples."""
-        x = (v - self._offset) / self._gain
-        size = np.abs(v)
-        refused = ((self._low <= size) & (size <= self._high)) | ~(np.abs(x) <= self._limit)
-        return x, refused
+        x, size = (v - self._offset) / self._gain, abs(v)
+        on_rail = (self._low <= size) & (size <= self._high)
+        return x, on_rail | (abs(x) > self._limit) | (x != x)  # noqa: PLR0124
 
 
 class WheelsCompensator:

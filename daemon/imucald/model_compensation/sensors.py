@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags
-from imucald.core.samples import QUANTITIES, TEMPERATURE, TRIADS, VEHICLE_SIGNALS, Series
+from imucald.core.samples import (
+    QUANTITIES,
+    TEMPERATURE,
+    TRIADS,
+    VEHICLE_SIGNALS,
+    Series,
+    speed_of_wheels,
+    speeds_of_wheels,
+)
 from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
 from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
@@ -129,7 +137,7 @@ class SensorCorrection:
             if channel == "wheel_speeds":
                 wheels = found
             elif channel == "speed" and self._derived:
-                found = None if wheels is None else (middle(wheels),)
+                found = None if wheels is None else (speed_of_wheels(wheels),)
             if found is None:
                 refused.append(channel)
             else:
@@ -183,8 +191,7 @@ class SensorCorrection:
             wheels = self._wheels.columns(samples["wheel_speeds"].values)
             out["wheel_speeds"] = Taken(*wheels)
             if self._derived and "speed" in samples:
-                ordered = np.sort(np.abs(wheels[0]), axis=1)
-                out["speed"] = Taken(0.5 * (ordered[:, 1] + ordered[:, 2]), wheels[1])
+                out["speed"] = Taken(speeds_of_wheels(wheels[0]), wheels[1])
         return out
 
     def _repeat(self, channel: str, samples: Mapping[str, Series], out: dict[str, Taken]) -> None:
@@ -232,9 +239,3 @@ def _before(order: Order, others: Order) -> NDArray[np.int64]:
     """Return, for each sample, the number of other samples that arrived before it or in the same
     frame."""
     return np.searchsorted(others, order, side="right").astype(np.int64)
-
-
-def middle(wheels: Sequence[float]) -> float:
-    """Return the mean of the two middle values of four wheel speeds [m/s]."""
-    _, b, c, _ = sorted(abs(v) for v in wheels)
-    return 0.5 * (b + c)

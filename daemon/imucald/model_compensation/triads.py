@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from imucald.core.arrays import Array
-from imucald.core.rotations import times, times_columns
+from imucald.core.arrays import Array, Flags, Index
+from imucald.core.rotations import times
 from imucald.model.section import Vector3
 from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
 
@@ -16,7 +16,7 @@ from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, 
 class TriadCompensator:
     """Removes bias, scale and cross-axis errors, and refuses clipped and implausible samples.
 
-    Single samples and columns give bit-equal results, because the operations have the same order.
+    The same code corrects single samples and columns.
     limit: largest plausible absolute value of a component, in SI.
     """
 
@@ -38,25 +38,10 @@ class TriadCompensator:
 
     def sample(self, t: float, v: Sequence[float]) -> Vector3 | None:
         """Correct one sample at t [s]; None if it is refused."""
-        x, y, z = v
-        if self._rails:
-            low, high = self._low, self._high
-            if low <= abs(x) <= high or low <= abs(y) <= high or low <= abs(z) <= high:
-                return None
-        p, q, r = self._bias
-        x -= p
-        y -= q
-        z -= r
-        if self._mixes:
-            x, y, z = times(self.terms.inverse, (x, y, z))
-        limit = self._limit
-        if -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
-            return x, y, z
-        return None
+        x, y, z, refused = self._corrected(v, self._bias)
+        return None if refused else (x, y, z)
 
-    def columns(
-        self, v: Array, temperatures: tuple[NDArray[np.int64], Array]
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def columns(self, v: Array, temperatures: tuple[Index, Array]) -> tuple[Array, Flags]:
         """Correct samples (N, 3) as `sample` does. Returns the results and flags (N,) of the
         refused samples.
 
@@ -69,12 +54,22 @@ class TriadCompensator:
             warmer = (degc - REFERENCE_DEGC)[:, None]
             own = np.array([self.terms.bias]) + warmer * np.array([self.terms.bias_temperature])
             bias = np.concatenate([bias, own])[before]
-        values = v - bias
-        if self._mixes:
-            values = times_columns(np.array([self.terms.inverse]), values)
-        # not "larger than": NaN must be refused as well
-        refused = ~(np.abs(values).max(axis=1) <= self._limit) if len(v) else np.zeros(0, bool)
+        x, y, z, refused = self._corrected(list(v.T), list(bias.T))
+        return np.stack((x, y, z), axis=1), refused
+
+    def _corrected(self, v: Sequence[Any], bias: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+        """Return the components of one sample, or of columns, and whether they are refused. NaN is
+        refused too."""
+        x, y, z = v
+        refused = False
         if self._rails:
-            size = np.abs(v)
-            refused |= ((self._low <= size) & (size <= self._high)).any(axis=1)
-        return values, refused
+            low, high = self._low, self._high
+            for size in (abs(x), abs(y), abs(z)):
+                refused = refused | ((low <= size) & (size <= high))
+        p, q, r = bias
+        x, y, z = x - p, y - q, z - r
+        if self._mixes:
+            x, y, z = times(self.terms.inverse, (x, y, z))
+        for part in (x, y, z):
+            refused = refused | (abs(part) > self._limit) | (part != part)  # noqa: PLR0124
+        return x, y, z, refused

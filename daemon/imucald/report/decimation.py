@@ -101,6 +101,11 @@ def clearest_segment(t: Array, before: Array, after: Array, seconds: float) -> s
     squares = np.nan_to_num(before) ** 2
     fall = squares - np.nan_to_num(after) ** 2
     worth = fall if fall.sum() > 0.0 else squares
+    return richest_segment(t, worth, seconds)
+
+
+def richest_segment(t: Array, worth: Array, seconds: float) -> slice:
+    """Return the rows of the segment of `seconds` with the largest sum of `worth` (N,)."""
     sums = np.concatenate([[0.0], np.cumsum(worth)])
     stop = np.searchsorted(t, t + seconds, side="right")
     first = int(np.argmax(sums[stop] - sums[:-1])) if len(t) else 0

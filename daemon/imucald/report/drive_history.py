@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.arrays import Array
-from imucald.core.samples import Samples, Series
+from imucald.core.samples import Samples, Series, direction_at
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
 from imucald.runtime.engine import Engine
@@ -215,11 +215,7 @@ def _signed_speed(samples: Samples, edges: Array) -> Array:
         hole = series.t[after] - series.t[after - 1] > HOLE_S
         outside = (edges < series.t[0] - HOLE_S) | (edges > series.t[-1] + HOLE_S)
         speed[hole | outside] = np.nan
-    reverse = samples.get("reverse")
-    if reverse is not None and len(reverse.t):
-        rows = np.maximum(np.searchsorted(reverse.t, edges, side="right") - 1, 0)
-        speed *= 1.0 - 2.0 * reverse.values[rows].ravel()
-    return np.asarray(speed)
+    return speed * direction_at(samples.get("reverse"), edges)
 
 
 def _window(x: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import FuncFormatter
 
+from imucald.report.decimation import richest_segment
 from imucald.report.drive_history import DriveMotion
 from imucald.report.svg_figures import drawn
 from imucald.report.themed_figures import OURS, RAW, STYLE, TRUTH, clock_text, legend, themed
@@ -55,10 +56,7 @@ def telling_rows(motion: DriveMotion) -> slice:
     with a correction are considered."""
     known = np.isfinite(motion.corrected[:, 0])
     worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
-    sums = np.concatenate([[0.0], np.cumsum(np.where(known, worth + 1e-9, 0.0))])
-    stop = np.searchsorted(motion.t, motion.t + STRETCH_S, side="right")
-    first = int(np.argmax(sums[stop] - sums[:-1]))
-    return slice(first, int(stop[first]))
+    return richest_segment(motion.t, np.where(known, worth + 1e-9, 0.0), STRETCH_S)
 
 
 def scatter_picture(motion: DriveMotion, axis: int) -> str:

@@ -398,10 +398,11 @@ class Engine:
         snapshot, not at the end of the chunk."""
         watch, before = self._watch, self._watch.rejected
         for snapshot in snapshots:
-            k, seen = snapshot.k, events[events <= snapshot.k]
-            is_rejecting = bool(np.any(seen > k - MISSING_TICKS)) or watch.is_recent(k)
+            k = snapshot.k
+            seen = int(events.searchsorted(k, side="right"))  # rejections up to the snapshot
+            is_near = seen > 0 and bool(events[seen - 1] > k - MISSING_TICKS)
             last = watch.last_until(k, routed)
-            out = self._status(snapshot, before + len(seen), is_rejecting, last)
+            out = self._status(snapshot, before + seen, is_near or watch.is_recent(k), last)
             yield from self._frame_parts(out, row_of(k))
 
     def _hand_on(self, snapshots: Sequence[Snapshot]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from imucald.inputs.column_samples import Routed
 from imucald.motion.signal_health import Faults
-from imucald.motion.ticks import TICK_RATE, tick_index
+from imucald.motion.ticks import tick_index
 from imucald.runtime.output.output_frames import Health
 
 MISSING_TICKS = 10
@@ -85,7 +86,7 @@ class InputWatch:
         series = routed.samples.get(channel) if routed is not None else None
         if series is None:
             return self.last[channel]
-        n = int(np.searchsorted(np.floor(series.t * TICK_RATE), k, side="right"))
+        n = bisect.bisect_right(series.t, k, key=tick_index)
         return tick_index(float(series.t[n - 1])) if n else self.last[channel]
 
     def health(self, k: int, link: LinkHealth, faults: Mapping[str, Faults]) -> Health:

@@ -20,7 +20,7 @@ from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, load_config
 from imucald.config.example import example_path
 from imucald.core.errors import ConfigError
-from imucald.core.samples import Series
+from imucald.core.samples import direction_at
 from imucald.inputs.conversion import Conversion
 from imucald.inputs.routes import MessageRoute
 from imucald.inputs.taps import Tap
@@ -113,24 +113,14 @@ def _tap_columns(
         values = series.values if series.values.ndim == 1 else series.values[:, slot]
         sign = route.signs.get(component.index)
         if tap.channel == "speed" and (signal.is_signed or sign is not None):
-            values = values * _direction(drive, series)
+            # a speed signal that is negative in reverse
+            values = values * direction_at(drive.samples.get("reverse"), series.t)
         physical = _physical(component.conversion, values)
         if isinstance(sign, int):
             bits = route.plan.message.signal(route.plan.signal_names[sign])
             yield bits.name, np.where(physical < 0.0, bits.scale + bits.offset, bits.offset)
             physical = np.abs(physical)
         yield name, _clipped(signal, physical)
-
-
-def _direction(drive: Drive, series: Series) -> NDArray[np.float64]:
-    """Return -1 in reverse and 1 otherwise, for each sample of `series`. A speed signal that is
-    negative in reverse is multiplied by this sign."""
-    reverse = drive.samples.get("reverse")
-    if reverse is None or not len(reverse.t):
-        return np.ones(len(series.t))
-    rows = np.maximum(np.searchsorted(reverse.t, series.t, side="right") - 1, 0)
-    direction: NDArray[np.float64] = 1.0 - 2.0 * reverse.values[rows]
-    return direction
 
 
 def _physical(conversion: Conversion, values: NDArray[np.float64]) -> NDArray[np.float64]:

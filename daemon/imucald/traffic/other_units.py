@@ -6,9 +6,10 @@ import heapq
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
-from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, concatenate
 from imucald.core.arrays import Array
 from imucald.simulation.filters import generator
 
@@ -168,23 +169,10 @@ def _priority(can_id: NDArray[np.uint32]) -> NDArray[np.int64]:
 def joined(parts: Sequence[FrameColumns]) -> FrameColumns:
     """Join frames of several messages, with common channels and width."""
     channels = tuple(dict.fromkeys(name for part in parts for name in part.channels))
-    width = max(part.data.shape[1] for part in parts)
-
-    def widened(part: FrameColumns) -> NDArray[np.uint8]:
-        return np.pad(part.data, ((0, 0), (0, width - part.data.shape[1])))
-
-    def renumbered(part: FrameColumns) -> NDArray[np.uint8]:
-        table = np.array([channels.index(name) for name in part.channels], np.uint8)
-        return table[part.channel]
-
-    has_fd = any(part.fd is not None for part in parts)
-    fd = [np.zeros(len(p), dtype=bool) if p.fd is None else p.fd for p in parts]
-    return FrameColumns(
-        t=np.concatenate([part.t for part in parts]),
-        can_id=np.concatenate([part.can_id for part in parts]),
-        length=np.concatenate([part.length for part in parts]),
-        data=np.concatenate([widened(part) for part in parts]),
-        channel=np.concatenate([renumbered(part) for part in parts]),
-        channels=channels,
-        fd=np.concatenate(fd) if has_fd else None,
+    tables = [np.array([channels.index(c) for c in part.channels], np.uint8) for part in parts]
+    return concatenate(
+        [
+            structs.replace(part, channel=table[part.channel], channels=channels)
+            for part, table in zip(parts, tables, strict=True)
+        ]
     )

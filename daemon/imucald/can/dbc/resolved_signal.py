@@ -38,8 +38,8 @@ an overflow."""
 
 
 class Scaling(Struct, frozen=True):
-    """Linear scaling of integers in doubles: ``raw * scale + offset``. Subclasses compute the
-    result differently.
+    """Linear scaling in doubles: ``raw * scale + offset``. Subclasses compute the result
+    differently. The values of a float may overflow or be NaN; the caller checks them.
     """
 
     scale: int | float
@@ -54,18 +54,10 @@ class Scaling(Struct, frozen=True):
     def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
         """Convert raw values (N,) to physical values, float64 (N,)."""
         values = raw.astype(np.float64)
-        values *= self.scale
-        values += self.offset
-        return values
-
-
-class FloatScaling(Scaling, frozen=True):
-    """Scaling of floats. The values may overflow or be NaN; the caller checks the values."""
-
-    def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
-        """See `Scaling`."""
         with np.errstate(all="ignore"):
-            return super().column(raw)
+            values *= self.scale
+            values += self.offset
+        return values
 
 
 class NoScaling(Scaling, frozen=True):
@@ -102,7 +94,7 @@ def scaling_of(signal: Signal, place: str) -> Scaling:
     if scale == 1 and offset == 0:
         return NoScaling(scale, offset)
     if signal.is_float:
-        return FloatScaling(float(scale), float(offset))
+        return Scaling(float(scale), float(offset))
     largest = max(abs(limit) for limit in raw_limits(signal))
     if _is_whole(scale) and _is_whole(offset):
         scale, offset = int(scale), int(offset)

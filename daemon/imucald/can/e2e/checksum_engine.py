@@ -7,8 +7,10 @@ the same checksum when computed alone and in columns.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
-from typing import Literal
+from itertools import chain
+from typing import Any, Literal
 
 import numpy as np
 from msgspec import Struct
@@ -72,11 +74,10 @@ class Checksum:
     def __init__(self, spec: ChecksumSpec) -> None:
         self.spec = spec
         self._table = _table(spec.polynomial, spec.width)
-        self._table_array = np.array(self._table, np.uint16 if spec.width == 2 else np.uint8)
         self._before = spec.position
         self._after = spec.position + spec.width
         self._many = max(len(spec.prefixes), len(spec.suffixes))
-        self._starts = tuple(self._feed(spec.start, p) for p in spec.prefixes)
+        self._starts = tuple(self._fed(self._table, spec.start, p) for p in spec.prefixes)
         if len(self._starts) == 1:
             self._starts *= self._many
         self._suffixes = spec.suffixes * (self._many if len(spec.suffixes) == 1 else 1)
@@ -93,7 +94,8 @@ class Checksum:
         if self._many > 1 and spec.counter is not None:
             index = read_bits(data, spec.counter)
         covered = data[: self._before] + data[self._after : spec.size] + self._suffixes[index]
-        return self._feed(self._starts[index], covered) ^ spec.final_xor
+        crc: int = self._fed(self._table, self._starts[index], covered)
+        return crc ^ spec.final_xor
 
     def is_right(self, data: bytes | bytearray) -> bool:
         """True if checksum (and data id nibble) of a frame of at least `size` bytes are right."""
@@ -105,36 +107,36 @@ class Checksum:
 
     def compute_columns(self, data: Columns) -> NDArray[np.uint16]:
         """Return the correct checksums for frames (N, W), W at least `size`."""
-        spec = self.spec
-        index = self._indices(data)
-        crc = np.array(self._starts, self._table_array.dtype)[index]
-        for i in range(spec.size):
-            if not self._before <= i < self._after:
-                crc = self._feed_column(crc, data[:, i])
-        for i in range(len(self._suffixes[0])):
-            suffix = np.array([s[i] for s in self._suffixes], np.uint8)
-            crc = self._feed_column(crc, suffix[index])
-        return crc.astype(np.uint16) ^ np.uint16(spec.final_xor)
+        counter = self.spec.counter
+        index = np.zeros(len(data), np.uint64)
+        if self._many > 1 and counter is not None:
+            index = read_column(words_of(data, counter.byte_order), counter)
+        suffixes = np.frombuffer(b"".join(self._suffixes), np.uint8).reshape(self._many, -1)
+        covered = [data[:, : self._before], data[:, self._after : self.spec.size], suffixes[index]]
+        kind = np.uint16 if self.spec.width == 2 else np.uint8
+        table, starts = np.array(self._table, kind), np.array(self._starts, kind)
+        crc = self._fed(table, starts[index], chain.from_iterable(part.T for part in covered))
+        return np.asarray(crc.astype(np.uint16) ^ np.uint16(self.spec.final_xor))
 
-    def are_right(self, data: Columns) -> NDArray[np.bool_]:
-        """Do the check of `is_right` for frames (N, W), W at least `size`."""
+    def stored_columns(self, data: Columns) -> NDArray[np.uint16]:
+        """Return the checksums that frames (N, W) contain."""
         stored = np.zeros(len(data), np.uint16)
         for shift, place in self.spec.bytes_at():
             stored |= data[:, place].astype(np.uint16) << np.uint16(shift)
-        right: NDArray[np.bool_] = stored == self.compute_columns(data)
+        return stored
+
+    def are_right(self, data: Columns) -> NDArray[np.bool_]:
+        """Do the check of `is_right` for frames (N, W), W at least `size`."""
+        right = self.stored_columns(data) == self.compute_columns(data)
         if self.spec.fixed is not None:
             field, value = self.spec.fixed
             right &= read_column(words_of(data, field.byte_order), field) == value
-        return right
+        return np.asarray(right)
 
-    def _indices(self, data: Columns) -> NDArray[np.intp]:
-        counter = self.spec.counter
-        if self._many == 1 or counter is None:
-            return np.zeros(len(data), np.intp)
-        return read_column(words_of(data, counter.byte_order), counter).astype(np.intp)
-
-    def _feed(self, crc: int, data: bytes | bytearray) -> int:
-        table = self._table
+    def _fed(self, table: Any, crc: Any, data: Iterable[Any]) -> Any:
+        """Return the CRC after more bytes. The code is the same for one frame (integers) and for
+        columns (arrays).
+        """
         if self.spec.width == 1:
             for byte in data:
                 crc = table[crc ^ byte]
@@ -142,17 +144,6 @@ class Checksum:
             for byte in data:
                 crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
         return crc
-
-    def _feed_column(
-        self, crc: NDArray[np.unsignedinteger], byte: NDArray[np.uint8]
-    ) -> NDArray[np.unsignedinteger]:
-        table = self._table_array
-        if self.spec.width == 1:
-            narrow: NDArray[np.unsignedinteger] = table[crc ^ byte]
-            return narrow
-        high = (crc >> np.uint16(8)).astype(np.uint8)
-        result: NDArray[np.unsignedinteger] = (crc << np.uint16(8)) ^ table[high ^ byte]
-        return result
 
 
 @cache

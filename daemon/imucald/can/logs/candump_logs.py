@@ -16,13 +16,12 @@ import numpy as np
 
 from imucald.can.columns import Channels, FrameColumns, concatenate
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
+from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_lines import PADDING, LineReader, line_at
-from imucald.can.logs.frame_batches import columns_of_frames
+from imucald.can.logs.frame_batches import Place, columns_of_frames, read_blocks
 from imucald.can.logs.log_format import DamageError, ReadStatistics
-from imucald.can.logs.text_blocks import Bytes, OpenLog, TextBlocks, open_source
+from imucald.can.logs.text_blocks import Bytes, OpenLog
 from imucald.core import compiled
-from imucald.core.errors import LogError
 
 CHUNK_FRAMES: Final = 32_768
 """Number of frames collected before they are passed on, since later steps have costs per chunk."""
@@ -38,9 +37,6 @@ NEWLINE: Final = 0x0A
 KEPT_BYTES: Final = 16 << 20
 """Freed memory that the C library may keep for reuse [bytes]. The limit is more than the arrays of
 one block (about 6 MiB with their copies)."""
-
-Place = tuple[str, int]
-"""File name, number of lines before this place."""
 
 _LOG_LINE: Final = re.compile(
     rb"^\([ \t]{0,32}\d{1,19}\.\d{1,19}\)[ \t]{1,32}\S{1,32}[ \t]{1,32}[0-9A-Fa-f]{3,8}#", re.M
@@ -154,36 +150,16 @@ class CandumpReader:
     ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in chunks, see `LogFormat.read`."""
         _keep_freed_memory()
-        return _gathered(_blocks(path, self._parser, self._statistics, report))
+        parser = self._parser
+        parts = read_blocks(
+            path, PADDING, self._statistics, report, self._parsed, parser.parse_rest
+        )
+        return _gathered(parts)
 
-
-def _blocks(
-    path: Path | str | OpenLog,
-    parser: CandumpParser,
-    statistics: ReadStatistics,
-    report: Callable[[int], None],
-) -> Iterator[FrameColumns]:
-    name, lines = str(path), 0
-    with statistics.until_damage(path), open_source(path) as source:
-        blocks = TextBlocks(source, PADDING, MAX_LINE_BYTES)
-        for buf, size in blocks:
-            if statistics.damage:
-                for columns, count in _cautiously(parser, statistics, buf, size, (name, lines)):
-                    lines += count
-                    yield columns
-                continue
-            columns, count = parser.parse(buf, size, (name, lines))
-            lines += count
-            report(blocks.bytes_read)
-            yield columns
-        if blocks.damage and not lines:
-            raise LogError(f"{name}: cannot be read: {blocks.damage}")
-        if blocks.damage:
-            # In a cut file, the last line is cut too, even if its remaining text is a valid line.
-            where = f"{name}:{lines + 1}"
-            statistics.reject("damaged_file", f"{where}: reading ends here: {blocks.damage}")
-        elif blocks.rest:
-            yield parser.parse_rest(blocks.rest, (name, lines))
+    def _parsed(self, buf: Bytes, size: int, place: Place) -> Iterator[tuple[FrameColumns, int]]:
+        if self._statistics.damage:
+            return _cautiously(self._parser, self._statistics, buf, size, place)
+        return iter([self._parser.parse(buf, size, place)])
 
 
 def _cautiously(

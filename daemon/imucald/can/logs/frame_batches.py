@@ -12,7 +12,7 @@ from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import MAX_LINE_BYTES
 from imucald.can.logs.log_format import ReadStatistics
-from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
+from imucald.can.logs.text_blocks import Bytes, OpenLog, TextBlocks, open_source
 from imucald.core.errors import LogError
 
 BATCH_FRAMES: Final = 8192
@@ -24,6 +24,9 @@ cleared from time to time."""
 
 GatheredFrame = tuple[float, int, bytes, int, bool]
 """Time [s], id with flag, payload, channel index, CAN FD."""
+
+Place = tuple[str, int]
+"""File name, number of lines before this place."""
 
 
 class FrameBatches:
@@ -81,24 +84,52 @@ def read_lines(
     take: called with lines, the file's name, the number of lines before, and whether this is the
     last line without a newline. Raises LogError for a file that cannot be read at all.
     """
+
+    def parse(buf: Bytes, size: int, place: Place) -> Iterator[tuple[FrameColumns, int]]:
+        lines = buf[:size].tobytes().split(b"\n")[:-1]
+        for start in range(0, len(lines), BATCH_FRAMES):
+            piece = lines[start : start + BATCH_FRAMES]
+            take(piece, place[0], place[1] + start, False)
+            yield batches.columns(), len(piece)
+
+    def parse_rest(text: bytes, place: Place) -> FrameColumns:
+        take([text], *place, True)
+        return batches.columns()
+
+    yield from read_blocks(path, 0, statistics, report, parse, parse_rest)
+    yield batches.columns()
+
+
+def read_blocks(
+    path: Path | str | OpenLog,
+    padding: int,
+    statistics: ReadStatistics,
+    report: Callable[[int], None],
+    parse: Callable[[Bytes, int, Place], Iterator[tuple[FrameColumns, int]]],
+    parse_rest: Callable[[bytes, Place], FrameColumns],
+) -> Iterator[FrameColumns]:
+    """Yield the frames of a text, block by block.
+
+    padding: free bytes behind each block. parse: called with a buffer and the size of its complete
+    lines; yields frames and the number of their lines. parse_rest: called with the last line if it
+    has no newline. Raises LogError for a file that cannot be read at all.
+    """
     name, number = str(path), 0
     with statistics.until_damage(path), open_source(path) as source:
-        blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
+        blocks = TextBlocks(source, padding, MAX_LINE_BYTES)
         for buf, size in blocks:
-            lines = buf[:size].tobytes().split(b"\n")[:-1]
-            for start in range(0, len(lines), BATCH_FRAMES):
-                take(lines[start : start + BATCH_FRAMES], name, number + start, False)
-                yield batches.columns()
-            number += len(lines)
             report(blocks.bytes_read)
+            for columns, count in parse(buf, size, (name, number)):
+                number += count
+                yield columns
         if blocks.damage and not number:
             raise LogError(f"{name}: cannot be read: {blocks.damage}")
         if blocks.damage:
+            # In a cut file, the last line is cut too, even if its remaining text is a valid line.
             text = f"{name}:{number + 1}: reading ends here: {blocks.damage}"
             statistics.reject("damaged_file", text)
         elif blocks.rest:
-            take([blocks.rest], name, number, True)
-    yield batches.columns()
+            yield parse_rest(blocks.rest, (name, number))
 
 
 def columns_of_frames(batch: list[GatheredFrame], channels: tuple[str, ...]) -> FrameColumns:
