@@ -44,7 +44,7 @@ def test_a_late_speed_is_no_contradiction_and_the_mount_is_found(seconds):
     estimate = estimator.estimate()
     assert faults == set()
     assert states & set(GOOD)
-    assert estimate.details["speed_delay"] == pytest.approx(seconds + own, abs=0.12)
+    assert estimate.details["speed_delay"] == pytest.approx(seconds + own, abs=0.05)
     assert estimate.R_vehicle_from_sensor is not None
     error = vector_from_rotation(
         drive().truth.R_vehicle_from_sensor() @ estimate.R_vehicle_from_sensor.T

@@ -48,7 +48,7 @@ from imucald.mount.joint.moves import (
     Move,
     likeliest_move,
 )
-from imucald.mount.joint.response import SEGMENTS
+from imucald.mount.joint.response import SEGMENTS, Responses
 from imucald.mount.joint.state import (
     CROSS,
     CROWN,
@@ -108,6 +108,10 @@ MOST_LEFT = 0.01
 """Angle of a change of the axes [rad] from which the windows are computed again."""
 MOST_LATE = 0.03
 """Change of the speed's delay [s] from which the windows are computed again."""
+FAR = 0.4
+"""Change of the speed's delay [s] from which the search is believed against the fit. The fit is
+linear in the delay.
+"""
 DELAY_STEP = 0.02
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, DELAY_STEP)
 REACH = 4.0
@@ -153,6 +157,7 @@ Bodies roll later than v r rises, because the springs are damped and the lateral
 to build up. The last value is the rolling times a lag of 0.15 s (assumption).
 """
 _XS = tuple(range(wd.X.start, wd.X.stop))
+JERK: Final = len(wd.MAIN) + wd.EXTRA.index("jerk")
 _ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
 TURN_FITS: Final = Fits(
     tuple((wd.RATES.start + i, *wd.TURN_COLUMNS) for i in range(2)),
@@ -373,6 +378,7 @@ class Evidence:
         self._taken = np.zeros(UNKNOWNS)
         self._late, self._lever_arm = late, np.array(lever_arm)
         self.delay, self.delay_std = late.mean, math.inf
+        self._later = 0.0  # change of the delay that the last fit asks for
         self.gains = (1.0, 1.0)
         """Gains of the force on dv/dt and v r (speed times yaw rate)."""
         self.variances: Mapping[str, float] = {}
@@ -756,8 +762,9 @@ class Evidence:
             if not found.is_of_sensors:  # contradicting signals: each step leads further away
                 raise np.linalg.LinAlgError("no sensor could have these matrices")
             self.solution = found
-            if found.unfinished < MOST_LEFT:
+            if found.unfinished < MOST_LEFT and abs(self._later) < MOST_LATE:
                 break
+            self.delay += self._later
             self._rotation = found.housing
             self._rework(found.force, found.rate, found.zero)
         return self.solution
@@ -868,8 +875,8 @@ class Evidence:
         self._rework(round_up @ W, round_up @ V, round_up @ zero)
 
     def _look_for_delay(self) -> None:
-        """Find the delay of the speed for which the force fits dv/dt best. Also find the frequency
-        bands in which the force follows dv/dt.
+        """Search the delay of the speed for which the force fits dv/dt best, before `_refine_delay`
+        can compute it. Also find the frequency bands in which the force follows dv/dt.
         """
         cross, power = self._sums.weigh_spectra()
         power = np.maximum(power, 1e-12)
@@ -879,19 +886,14 @@ class Evidence:
         fit[np.abs(DELAYS - self._late.mean) > REACH * self._late.std] = -math.inf
         best = float(grid[np.argmax(fit)])
         answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
-        shifted = np.exp(-1j * best * wd.OMEGA) * cross / noise[wd.BAND]
-        known = np.maximum(shifted.real, 0.0)  # the phase that remains is an error of the delay
-        spread = float(known @ np.square(np.angle(shifted))) / max(
-            float(known @ np.square(wd.OMEGA)), 1e-9
-        )
-        self.delay_std = min(math.sqrt(spread), self._late.std) if known.any() else math.inf
         in_band = np.asarray(np.bincount(wd.BAND, power), dtype=float)
         gain = np.bincount(wd.BAND, answer) / in_band
         error = np.sqrt(0.5 * wd.OVERLAP * noise / in_band)
         follows = gain + CERTAIN * error >= FOLLOWS * median(gain[:3])
         until = max(int(np.argmax(np.r_[~follows, True])), 3)
         self._bands = np.arange(wd.BANDS) < until
-        if abs(best) > MOST_LATE and self._axes is not None:
+        limit = MOST_LATE if self.solution is None else FAR
+        if abs(best) > limit and self._axes is not None:
             self.delay += best
             self._rework(*self._axes)
 
@@ -900,6 +902,8 @@ class Evidence:
         priors = self._priors
         has_gyro = self.signals.gyro
         answers = self._sums.force.respond(self._bands)
+        if self.signals.speed:
+            self._refine_delay(answers)
         h = answers.value
         gain = np.maximum(np.diag(h[:2]), 0.3) if self.signals.speed else np.ones(2)
         self.gains = float(gain[0]), float(gain[1])
@@ -940,6 +944,22 @@ class Evidence:
             same = float(shares[AS_BEFORE])
             against = contradiction(hypotheses[AS_BEFORE], measured, self._taken)
         return self._applied(theta, covariance, same, against)
+
+    def _refine_delay(self, answers: Responses) -> None:
+        """Compute the remaining error of the delay, and its deviation: the response of the forward
+        force to the jerk. If the speed has few samples, only this response uses the motion between
+        them as the fit does.
+        """
+        prior, variance = self._late.std**2, float(answers.model[0, JERK])
+        variance *= float(answers.covariance[0, 0, 0] / answers.model[0, 0])
+        # the prior of the response is in it: it is replaced by the prior of the delay
+        variance = 1.0 / max(1.0 / variance - 1.0 / SPREAD[0, JERK - len(wd.MAIN)] ** 2, 1e-6)
+        found = -float(answers.vector[0, 1 + JERK])
+        share = prior / (prior + variance)
+        later = share * found + (1.0 - share) * (self._late.mean - self.delay)
+        low, high = MIN_SPEED_DELAY - self.delay, MAX_SPEED_DELAY - self.delay
+        self._later = min(max(later, low), high)
+        self.delay_std = math.sqrt(share * variance)
 
     def _answer_row(self, i: int, j: int) -> Array:
         """Return the row (UNKNOWNS,) for the response of the force's axis i to dv/dt (j = 0) or v r

@@ -85,7 +85,7 @@ class Responses(NamedTuple):
     the residual from the columns of a window. power: (F, size) factors that compute the expected
     power of the noise from a packed window, see `left_of`. noise: (F, BANDS) noise of each
     frequency band, infinite in unused bands. trust: (F, n) weight of each window, computed from
-    this power.
+    this power. model: (F, p) variances of all coefficients by the model alone.
     """
 
     value: Array
@@ -95,6 +95,7 @@ class Responses(NamedTuple):
     power: Array
     noise: Array
     trust: Array
+    model: Array
 
 
 def trust_in(left: Array, noise: Array) -> Array:
@@ -210,7 +211,8 @@ def respond(
     root = np.sqrt(grow)
     covariance = np.asarray(model * root[:, :, None] * root[:, None], dtype=float)
     value = np.asarray(beta[:, :keep], float)
-    return Responses(value, covariance, segments, vector, power, noise, trust)
+    alone = np.diagonal(covariances, axis1=1, axis2=2)
+    return Responses(value, covariance, segments, vector, power, noise, trust, alone)
 
 
 def _effective_segments(
