@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.ndimage import median_filter
+from table_rows import odd
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
@@ -44,7 +45,7 @@ def file() -> VehicleModel:
 
 
 def asked_of(drives, file: VehicleModel):
-    return follows(drives, file).asked(traits_of(drives), file)
+    return odd(FOLLOWS_OTHERWISE, *drives, file)
 
 
 def found(file: VehicleModel, made: dict[str, Series]):

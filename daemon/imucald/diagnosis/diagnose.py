@@ -29,28 +29,20 @@ from imucald.diagnosis.cause_keys import (
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.direct import Rest, rest_of
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
-from imucald.diagnosis.direct.held_values import held_values
-from imucald.diagnosis.direct.levels import coarser, holes, with_levels
+from imucald.diagnosis.direct.levels import with_levels
 from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
 from imucald.diagnosis.direct.next_samples import follows, traits_of
-from imucald.diagnosis.direct.sample_changes import (
-    CHANGES,
-    changes_missing,
-    changes_of,
-    jumps_alone,
-)
+from imucald.diagnosis.direct.sample_changes import CHANGES, changes_of
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.doubts import doubt, unexplained
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.adequacy import goes_against, lines, shared, spectra_of, too_much
-from imucald.diagnosis.left_over.courses import DELAY, courses, drift_of
-from imucald.diagnosis.left_over.louder import LEAVES, left_of, more_than_stated, uneven
-from imucald.diagnosis.left_over.orders import orders
-from imucald.diagnosis.left_over.pairs import pairs
+from imucald.diagnosis.left_over.adequacy import goes_against
+from imucald.diagnosis.left_over.louder import LEAVES
+from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.left_over.table import left_over, odd_values
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     CHANGES_MISSING,
@@ -145,7 +137,7 @@ def diagnose(
     search(state, tick, late, GYRO_BIAS if rest else ())
     report(0.8, "what is left")
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *(wrong or _left(state)))
+    left = (*gone.values(), *odd, *(wrong or left_over(state)))
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
@@ -154,7 +146,7 @@ def diagnose(
     changes = written != state.stated or state.stated != model
     problem = state.evaluated()
     if not any(s.kind in (*UNBELIEVED, *NOT_AS_STATED) for s in left):
-        written = LEAVES.written(written, left_of(problem, state))
+        written = LEAVES.written(written, Remains(problem, state).by_band)
         written = CHANGES.written(with_levels(written, parts), changes_of(parts, state.model))
         written = follows(parts, written).written(written, traits_of(parts))
     whole = state.whole or problem.table
@@ -228,7 +220,7 @@ def _begun(
     lost = [all_lost(samples) for samples in drives]
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
-    odd = _odd(_signals(drives, faults, lost, held=True), model)
+    odd = odd_values(_signals(drives, faults, lost, held=True), model)
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
@@ -255,20 +247,6 @@ def _signals(
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 
-def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
-    """Return structure in raw values that no healthy signal shows. Faults are not included. These
-    tests need no fit and have their own false-discovery rate."""
-    return beyond_chance(
-        [
-            *coarser(parts, model),
-            *holes(parts),
-            *changes_missing(parts),
-            *jumps_alone(parts),
-            *(follows(parts, model).asked(traits_of(parts), model) if model.leaves else ()),
-        ]
-    )
-
-
 def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
     """True if another structure in the same signal may explain a fault. Values at the end of a
     range, constant values and repeated frames are found from the sequence of samples. Such a fault
@@ -289,44 +267,6 @@ def _is_recommended(
     if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
     return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
-
-
-def _left(state: State) -> tuple[Structure, ...]:
-    """Return the structure that no cause explains."""
-    problem = state.evaluated()
-    drift = drift_of(problem, state)
-    spectra = spectra_of(problem, state.forwards)
-    asked = [
-        *pairs(problem, state, drift),
-        *orders(problem, state),
-        *lines(state, spectra),
-        *courses(problem, state, drift),
-        *_beside_stated(problem, state),
-    ]
-    of_clocks = [q for q in asked if q.structure.parameter == DELAY]
-    return (
-        *too_much(problem, state),
-        *uneven(problem, drift),
-        *outcome.implausible(state),
-        *held_values(state.drives),
-        *beyond_chance([q for q in asked if q not in of_clocks]),
-        # Stamps that leave their cycle need an explanation: an error rate of their own.
-        *beyond_chance(of_clocks),
-        *shared(spectra, state.forwards),
-    )
-
-
-def _beside_stated(problem: Problem, state: State) -> list[Question]:
-    """Return the tests that compare these drives with the drives of the model file."""
-    stated = state.stated
-    if not stated.leaves:
-        return []
-    left = left_of(problem, state)
-    return [
-        *LEAVES.asked(left, stated),
-        *more_than_stated(left, stated),
-        *CHANGES.asked(changes_of(state.drives, state.model), stated),
-    ]
 
 
 def _silent(share: float, text: str) -> None:

@@ -14,7 +14,7 @@ from scipy.stats import binom
 
 from imucald.core.arrays import Array
 from imucald.core.samples import QUANTITIES
-from imucald.diagnosis.result import VALUE_HELD, Structure
+from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.signals import DriveSignals
 
 SENSORS = ("accel", "gyro")
@@ -31,18 +31,18 @@ CHANCE = 0.01
 LEAST_ROWS = 300
 
 
-def held_values(drives: Sequence[DriveSignals]) -> list[Structure]:
-    """Return the sensors that show such a value, over all drives."""
-    found: dict[str, Structure] = {}
+def held_values(drives: Sequence[DriveSignals]) -> Iterator[Answer]:
+    """Yield the values that a sensor holds. A signal is reported once, for its first drive."""
+    found: dict[str, Answer] = {}
     for drive in drives:
         for name in SENSORS:
             if drive.has(name):
                 for one in _of_sensor(name, drive, len(drives)):
                     found.setdefault(one.signal, one)
-    return list(found.values())
+    return iter(found.values())
 
 
-def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structure]:
+def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Answer]:
     channel = drive.channels[name]
     moving = np.interp(channel.t, drive.knots.t, np.abs(drive.knots.values)) > MOVING_MPS
     table = channel.values[moving]
@@ -64,7 +64,7 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
             f"driving, {times:.0f} times as often as any neighbouring value: at this value, "
             "it does not follow the motion"
         )
-        yield Structure(f"{name}_{'xyz'[axis]}", VALUE_HELD, times, text)
+        yield Answer(f"{name}_{'xyz'[axis]}", times, 1.0, CHANCE, text)
 
 
 def _held(x: Array, questions: int) -> tuple[float, float, float] | None:

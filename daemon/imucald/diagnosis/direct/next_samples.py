@@ -30,7 +30,6 @@ from imucald.diagnosis.direct.levels import (
     step_of,
 )
 from imucald.diagnosis.fit.beside_file import Family, FamilyRow, Left, joined
-from imucald.diagnosis.result import FOLLOWS_OTHERWISE
 from imucald.diagnosis.signals import STANDING_MPS, DriveSignals, Mask
 from imucald.model.model import VehicleModel
 
@@ -155,8 +154,7 @@ def follows(drives: Sequence[DriveSignals], stated: VehicleModel) -> Family:
     """Return the tests that compare these numbers with the numbers of the model file's own
     drives."""
     same = _on_the_files_grid(drives, stated)
-    return Family(FOLLOWS_OTHERWISE, lambda name, i: _row(name.split()[2], TRAITS[i], same),
-                  FEW_SEGMENTS)  # fmt: skip
+    return Family(lambda name, i: _row(name.split()[2], TRAITS[i], same), FEW_SEGMENTS)
 
 
 def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> set[str]:

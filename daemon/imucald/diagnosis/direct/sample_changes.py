@@ -28,18 +28,11 @@ from imucald.diagnosis.direct.levels import (
     Numbers,
     levels_of,
     numbers_of,
-    signals_of,
     step_of,
 )
 from imucald.diagnosis.direct.lost_readings import PASSES_HALF
 from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, FamilyRow, Left, joined
-from imucald.diagnosis.fit.chance import Question, beyond_chance
-from imucald.diagnosis.result import (
-    CHANGES_MISSING,
-    CHANGES_OTHERWISE,
-    JUMPS_ALONE,
-    Structure,
-)
+from imucald.diagnosis.fit.chance import Answer, beyond_chance
 from imucald.diagnosis.signals import STANDING_MPS, Channel, DriveSignals, Mask
 from imucald.model.leaves import LAGS
 from imucald.model.model import VehicleModel
@@ -146,26 +139,22 @@ def _row(name: str, i: int) -> FamilyRow:
     )
 
 
-CHANGES = Family(CHANGES_OTHERWISE, _row)
+CHANGES = Family(_row)
 """Tests of the size of an axis's changes over several samples (`changes_of`)."""
 
 
 # without a file ----------------------------------------------------------------------------------
 
 
-def changes_missing(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Test whether signals stay constant until they change by a large amount."""
-    return [q for drive in drives for signal in signals_of(drive) for q in _missing(signal)]
-
-
 def stays_until_off(name: str, channel: Channel) -> bool:
     """True if a signal is sent on change. A constant value of such a signal is not stuck."""
-    asked = [q for signal in numbers_of(name, channel) for q in _missing(signal)]
+    asked = (a for signal in numbers_of(name, channel) for a in changes_missing(signal))
     return bool(beyond_chance(asked))
 
 
-def _missing(signal: Numbers) -> Iterator[Question]:
-    """Test one signal for missing small changes.
+def changes_missing(signal: Numbers, _: VehicleModel | None = None) -> Iterator[Answer]:
+    """Test one signal for missing small changes: does it stay constant until it changes by a large
+    amount?
 
     Of all changes up to twice a size, at least a third must be below this size. All sizes are
     tested, and the chance is multiplied by their number."""
@@ -191,17 +180,12 @@ def _missing(signal: Numbers) -> Iterator[Question]:
     )
     p = min(1.0, float(chance[k]) * len(half))
     # Below the noise, the steps of a coarse converter show instead.
-    is_large = bool(below[k] < 0.5 * BELOW_HALF * many) and size > noise_about(signal.values)
-    yield Question(p, is_large, Structure(signal.name, CHANGES_MISSING, 1.0 / max(p, 1e-12), text))
+    noise, sure = noise_about(signal.values), size if below[k] < 0.5 * BELOW_HALF * many else 0.0
+    yield Answer(signal.name, size, noise, p, text, sure=sure, shown=1.0 / max(p, 1e-12))
 
 
-def jumps_alone(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Test whether signals jump repeatedly, with small changes before and after each jump."""
-    return [q for drive in drives for signal in signals_of(drive) for q in _alone(signal)]
-
-
-def _alone(signal: Numbers) -> Iterator[Question]:
-    """Test one signal for single jumps.
+def jumps_alone(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
+    """Test one signal for repeated single jumps, with small changes before and after each jump.
 
     Consider the changes that are larger than their neighbours by some factor. At most a quarter of
     these changes are larger by twice the factor, because the tails of a distribution with a finite
@@ -212,10 +196,11 @@ def _alone(signal: Numbers) -> Iterator[Question]:
     # A wrong value causes a jump there and one back: it counts once.
     times = times[times == maximum_filter1d(times, len(BESIDE), mode="constant")]
     counts = [int((times > level).sum()) for level in LEVELS]
+    least = ALONE_SHARE * len(changes)
     asked = [
         (float(binom.sf(counts[j] - 1, counts[i], PASSES_HALF ** (j - i))), i, j)
         for i, j in combinations(range(len(LEVELS)), 2)
-        if counts[j] > ALONE_SHARE * len(changes)
+        if counts[j] > least
     ]
     chance, i, j = min(asked, default=(1.0, 0, 1))
     text = (
@@ -226,7 +211,7 @@ def _alone(signal: Numbers) -> Iterator[Question]:
         "sources"
     )
     p = min(1.0, chance * comb(len(LEVELS), 2))
-    yield Question(p, bool(asked), Structure(signal.name, JUMPS_ALONE, float(counts[j]), text))
+    yield Answer(signal.name, float(counts[j]), least, p, text, shown=float(counts[j]))
 
 
 def _beside(signal: Numbers) -> tuple[Array, Array]:

@@ -19,10 +19,9 @@ from scipy.stats import gamma
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.fit.score import Problem, one_in_fifteen
-from imucald.diagnosis.result import TURNS_WITH_WHEEL, Structure
-from imucald.diagnosis.search.state import State
+from imucald.diagnosis.fit.chance import Answer
+from imucald.diagnosis.fit.score import one_in_fifteen
+from imucald.diagnosis.left_over.remains import Remains
 
 ROUND_M = 1.5, 2.3
 """Smallest and largest circumference of a tyre of a passenger car or van [m]: 155/65 R13 has 1.60
@@ -58,28 +57,20 @@ class Stretch:
     """Orthonormal columns (n, q) that were removed."""
 
 
-def orders(problem: Problem, state: State) -> list[Question]:
+def orders(left: Remains) -> Iterator[Answer]:
     """Test whether the speed's residual is periodic with a wheel turn."""
-    return asked_of(state.forwards, problem.fitted_changes())
-
-
-def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[Question]:
-    """Return the questions for drives with their model. changes: fit of the parameters within their
-    box."""
-    some = [s for f in forwards for s in _stretches(f, changes)]
+    some = [s for f in left.state.forwards for s in _stretches(f, left.changes)]
     if len(some) < LEAST_SEGMENTS:
-        return []
+        return
     longest = max(float(s.way[-1] - s.way[0]) for s in some)
     low, high = 1.0 / ROUND_M[1], 1.0 / ROUND_M[0]
-    made = []
     for k in ONCE:
         count = int(FINE * k * (high - low) * longest) + 1
-        made.append(_question(some, np.linspace(k * low, k * high, count), k))
-    return made
+        yield _answer(some, np.linspace(k * low, k * high, count), k)
 
 
-def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
-    """Return the question about the strongest wave. turns: (F,) waves per metre."""
+def _answer(some: Sequence[Stretch], turns: Array, harmonic: int) -> Answer:
+    """Return the answer about the strongest wave. turns: (F,) waves per metre."""
     gains, powers, energies = (np.empty((len(some), len(turns))) for _ in range(3))
     for b, s in enumerate(some):
         gains[b], powers[b], energies[b] = _of_stretch(s, turns)
@@ -97,7 +88,7 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
         f"way, with an amplitude of {100.0 * size:.2g} % of the speed. This is the "
         f"circumference of a wheel; a wheel without faults causes {100.0 * RUN_OUT:.2g} %"
     )
-    return Question(p, size > RUN_OUT, Structure("accel_x", TURNS_WITH_WHEEL, size / RUN_OUT, text))
+    return Answer("accel_x", size, RUN_OUT, p, text)
 
 
 def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
