@@ -13,6 +13,7 @@ from imucald.core.samples import Series
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.left_over.orders import RUN_OUT
+from imucald.diagnosis.left_over.remains import residuals_of
 from imucald.diagnosis.result import TURNS_WITH_WHEEL
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate
@@ -38,8 +39,8 @@ def found(period_s: float, swing=None):
     at = np.arange(own.t[0], own.t[-1], period_s)
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(at))
     samples = samples | {"speed": Series(at, np.interp(at, t, shown) + noise * (v.max() > 0.0))}
-    state = SimpleNamespace(forwards=[Forward(drive_of(samples), model, 300)])
-    return beyond_chance(left(TURNS_WITH_WHEEL, SimpleNamespace(state=state, changes={})))
+    residuals = residuals_of(Forward(drive_of(samples), model, 300), {})
+    return beyond_chance(left(TURNS_WITH_WHEEL, SimpleNamespace(drives=[residuals])))
 
 
 def turning(metres, size=0.02):

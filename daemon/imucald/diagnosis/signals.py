@@ -18,11 +18,12 @@ from scipy.stats import binom
 from imucald.core.arrays import Array, true_runs
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples, Series
+from imucald.motion.ticks import TICK_S
 
 Mask = NDArray[np.bool_]
 Spans = tuple[tuple[float, float], ...]
 
-STEP_S = 0.1
+STEP_S = TICK_S
 """Step of the grid [s]. The motion of a vehicle is below 2 Hz."""
 GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35

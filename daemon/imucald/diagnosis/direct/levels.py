@@ -137,11 +137,12 @@ def coarser(signal: Numbers, stated: VehicleModel) -> Iterator[Answer]:
     At most a tenth of the gaps between occurring levels are narrower than the new step. If the same
     number of levels were on the finer grid of the model file, far more gaps would be narrower."""
     file = stated.leaves.get(f"levels of {signal.channel}")
-    levels = levels_of(signal.values)
-    step, least = step_of(levels), 0.0 if file is None else GAIN * (file.rms[0] + file.spread[0])
-    if file is None or file.rms[0] == 0.0 or step <= least:
+    if file is None or file.rms[0] == 0.0:
         return
-    lsb = file.rms[0]
+    levels, lsb = levels_of(signal.values), file.rms[0]
+    step, least = step_of(levels), GAIN * (lsb + file.spread[0])
+    if step <= least:
+        return
     ratio = step / lsb
     gaps = np.diff(levels)
     # One in `ratio` of the file's levels occurs; this is the chance that another one comes within a

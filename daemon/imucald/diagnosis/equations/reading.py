@@ -12,9 +12,9 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
-from imucald.diagnosis.equations.kinematics import Axes, column
 from imucald.diagnosis.equations.once import Known, Once
 from imucald.diagnosis.signals import DriveSignals
+from imucald.drive.equations import Axes
 from imucald.model.model import VehicleModel
 
 REFERENCE_DEGC = 25.0
@@ -204,3 +204,8 @@ def _part(changes: Changes, beginnings: tuple[str, ...]) -> Part:
 
 def _is_gain(key: str) -> bool:
     return key.startswith(("accel.scale", "accel.cross_axis"))
+
+
+def column(x: Array, i: int) -> Array:
+    """Return one axis (N,) of x (N, 3), as a contiguous array."""
+    return np.ascontiguousarray(x[:, i])

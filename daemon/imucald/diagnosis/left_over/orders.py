@@ -10,7 +10,7 @@ road may be periodic with 4 m and more (concrete slabs), so such wavelengths are
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,10 +18,9 @@ import numpy as np
 from scipy.stats import gamma
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import one_in_fifteen
-from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.left_over.remains import DriveResiduals, Remains
 
 ROUND_M = 1.5, 2.3
 """Smallest and largest circumference of a tyre of a passenger car or van [m]: 155/65 R13 has 1.60
@@ -59,7 +58,7 @@ class Stretch:
 
 def orders(left: Remains) -> Iterator[Answer]:
     """Test whether the speed's residual is periodic with a wheel turn."""
-    some = [s for f in left.state.forwards for s in _stretches(f, left.changes)]
+    some = [s for drive in left.drives for s in _stretches(drive)]
     if len(some) < LEAST_SEGMENTS:
         return
     longest = max(float(s.way[-1] - s.way[0]) for s in some)
@@ -110,9 +109,9 @@ def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
     return -0.5 * free * np.log(1.0 - share), explained - 2.0 * noise, 0.5 * (cc + ss)
 
 
-def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
+def _stretches(drive: DriveResiduals) -> Iterator[Stretch]:
     """Yield, for each segment, the longest part that has all needed data."""
-    found, masks = f.residuals(changes), f.usable()
+    f, _, found, _, masks = drive
     if "accel_x" not in found.of or not f.has_gravity:
         return
     left, mask = found.of["accel_x"].ravel(), masks["accel_x"].ravel()

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.equations.forward import Forward
+from imucald.diagnosis.cause_keys import Changes
+from imucald.diagnosis.equations.forward import Forward, Residuals
 from imucald.diagnosis.fit.beside_file import Left, joined
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE, Table
 from imucald.diagnosis.fit.score import Hypothesis, Problem, what_leaves
@@ -32,9 +33,17 @@ class DriveResiduals(NamedTuple):
 
     forward: Forward
     speed: Array
+    found: Residuals
     left: Mapping[str, Array]
-    """Residual of each equation, with all parameters fitted in their box and the tilt removed."""
+    """Residual of each equation with the tilt of each block removed."""
     masks: Mapping[str, Mask]
+
+
+def residuals_of(f: Forward, changes: Changes) -> DriveResiduals:
+    """Return the residuals of a drive with a changed model file."""
+    found, masks = f.residuals(changes), f.usable()
+    speed = f.amount_of_speed().reshape(f.blocks, f.rows)
+    return DriveResiduals(f, speed, found, f.level(found, masks), masks)
 
 
 @dataclass(frozen=True)
@@ -64,26 +73,17 @@ class Remains:
         return what_leaves(self.problem, self.drift)
 
     @cached_property
-    def changes(self) -> dict[str, float]:
-        """Changes of the model file from the fit of all parameters in their box."""
-        return self.problem.fitted_changes()
-
-    @cached_property
     def drives(self) -> list[DriveResiduals]:
-        """The residuals of each drive."""
-        made = []
-        for f in self.state.forwards:
-            masks, speed = f.usable(), f.amount_of_speed().reshape(f.blocks, f.rows)
-            left = f.level(f.residuals(self.changes), masks)
-            made.append(DriveResiduals(f, speed, left, masks))
-        return made
+        """The residuals of each drive, with all parameters fitted in their box."""
+        changes = self.problem.fitted_changes()
+        return [residuals_of(f, changes) for f in self.state.forwards]
 
     @cached_property
     def by_band(self) -> dict[float, Left]:
         """By segment length [s] and equation: mean speed (B,) of each segment in motion, and its
         rms residual (B, bands) in the unit of the equation."""
         parts: dict[str, list[tuple[Array, Array]]] = {}
-        for _, v, left, masks in self.drives:
+        for _, v, _, left, masks in self.drives:
             moving = (v > STANDING_MPS).mean(axis=1) >= MOVING_SHARE
             for name, y in left.items():
                 good = moving & (masks[name].mean(axis=1) >= LEAST_SHARE)
@@ -99,7 +99,7 @@ class Remains:
         vehicle's motion, `_steering`, `_turning` and `DRIVEN`, are included.
         """
         parts: dict[str, list[Spectra]] = {}
-        for f, v, left, masks in self.drives:
+        for f, v, _, left, masks in self.drives:
             rows = {name: (y, masks[name]) for name, y in left.items()}
             # The product is used under two masks, because a segment may lack one of the equations.
             sideways = v * f.yaw_rate().reshape(v.shape) if f.has_turning else v

@@ -71,17 +71,19 @@ def _of_each(
 
 def _following(raw: RawValues) -> Iterator[Answer]:
     drives, model = raw
-    return follows(*raw).answers(traits_of(drives) if model.leaves else {}, model)
+    return follows(*raw).answers(traits_of(drives), model) if model.leaves else iter(())
 
 
 def _beside_stated(left: Remains) -> Iterator[Answer]:
     stated = left.state.stated
-    return LEAVES.answers(left.by_band if stated.leaves else {}, stated)
+    return LEAVES.answers(left.by_band, stated) if stated.leaves else iter(())
 
 
 def _changing(left: Remains) -> Iterator[Answer]:
-    state, stated = left.state, left.state.stated
-    return CHANGES.answers(changes_of(state.drives, state.model) if stated.leaves else {}, stated)
+    state = left.state
+    if not state.stated.leaves:
+        return iter(())
+    return CHANGES.answers(changes_of(state.drives, state.model), state.stated)
 
 
 ODD = (
