@@ -13,7 +13,7 @@ from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.left_over.courses import by_course, gains_apart
-from imucald.diagnosis.search.standing import simplify
+from imucald.diagnosis.search.search import simplify
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel
@@ -37,7 +37,7 @@ def problem_of(y, X, keys, tolerance) -> Problem:
     gram = np.swapaxes(A, 1, 2) @ A
     n = len(keys)
     table = Table(
-        keys, gram, {"accel_x": gram}, np.full(BLOCKS, ROWS), 30.0 * np.arange(BLOCKS),
+        keys, gram, {"accel_x": gram}, 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(n),
         np.tile([-1.0, 1.0], (n, 1)), {"accel_x": 1.0}, 30.0, {}, np.zeros((BLOCKS, 2)),
         np.arange(BLOCKS),

@@ -37,7 +37,7 @@ def problem_of(y, X) -> Problem:
     gram = np.swapaxes(A, 1, 2) @ A
     tolerance = np.array([TOLERANCE, 0.01])
     table = Table(
-        KEYS, gram, {"accel_x": gram}, np.full(BLOCKS, y.shape[1]), 30.0 * np.arange(BLOCKS),
+        KEYS, gram, {"accel_x": gram}, 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(2),
         np.array([[-1.0, 1.0], [-0.1, 0.1]]), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
         np.arange(BLOCKS),

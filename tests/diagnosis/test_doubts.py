@@ -22,9 +22,8 @@ from imucald.diagnosis.result import (
     Diagnosis,
     Structure,
 )
-from imucald.diagnosis.search.search import search
+from imucald.diagnosis.search.search import search, unsettle
 from imucald.diagnosis.search.shift import FittedShift
-from imucald.diagnosis.search.standing import unsettle
 from imucald.diagnosis.search.state import State, shift_steps
 from imucald.diagnosis.search.trials import Trial
 from imucald.diagnosis.signals import drive_of
@@ -112,7 +111,7 @@ def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
 def test_a_moved_mount_is_not_ruled_out_beside_what_no_turn_leaves(kind, stands):
     """After a turn by 10 deg zeros and gains seem to wander: it is followed to first order."""
     model, one = VehicleModel(), np.ones(3)
-    shift = FittedShift("step", 300.0, 0.1 * one, 0.01 * one, 3.0, one, 50.0, one, 270.0, 300.0)
+    shift = FittedShift("step", 300.0, 0.1 * one, 0.01 * one, 3.0, one, 50.0, 270.0, 300.0)
     state = State((), model, with_shifts(model, shift_steps(shift)), {}, shift=shift)
     doubt(state, [Structure("accel_x", kind, 2.0, "", "accel.bias.x")], [])
     assert (state.shift is shift) == stands
@@ -218,7 +217,7 @@ def beside_a_delay(shows_upward: float) -> tuple[Table, Trial]:
     grams["accel_z"][:, 2, 2], grams["accel_z"][:, 3, 3] = shows_upward, 1.0
     one = np.ones(n)
     table = Table(
-        KEYS, sum(grams.values()), grams, np.full(4, 9), 30.0 * np.arange(4),
+        KEYS, sum(grams.values()), grams, 30.0 * np.arange(4),
         np.zeros(4, dtype=int), np.ones(4), 0.01 * one, 0.0 * one, np.tile([-1.0, 1.0], (n, 1)),
         {}, 30.0, {}, np.zeros((4, 2)), np.arange(4),
     )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.diagnosis.direct.held_values import held_values
+from imucald.diagnosis.direct.single_values import held_values
 from imucald.diagnosis.signals import drive_of
 
 SECONDS = 300.0

@@ -7,7 +7,7 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.diagnose import _shows_zero
-from imucald.diagnosis.direct.lost_readings import all_lost, as_structure, lost_readings
+from imucald.diagnosis.direct.single_values import all_lost, as_structure, lost_readings
 from imucald.diagnosis.result import (
     GOES_WITH_ANOTHER,
     READINGS_LOST,

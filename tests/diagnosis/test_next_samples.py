@@ -10,7 +10,7 @@ from table_rows import odd
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.direct.levels import with_levels
-from imucald.diagnosis.direct.next_samples import follows, traits_of
+from imucald.diagnosis.direct.successive import follows, traits_of
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.result import FOLLOWS_OTHERWISE
 from imucald.diagnosis.signals import drive_of

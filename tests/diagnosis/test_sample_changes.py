@@ -11,7 +11,7 @@ from table_rows import left, odd
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.direct.faults import find_faults
-from imucald.diagnosis.direct.sample_changes import (
+from imucald.diagnosis.direct.successive import (
     CHANGES,
     SEGMENT_S,
     changes_of,

@@ -40,7 +40,7 @@ def of_segments(
     tolerance = np.array([known_to, known_to / 6.0])
     table = Table(
         ("accel.bias.x", "accel.scale.0"), 100.0 * gram, {"accel_x": 100.0 * gram},
-        np.full(segments, ROWS), 30.0 * np.arange(segments), np.zeros(segments, dtype=int),
+        30.0 * np.arange(segments), np.zeros(segments, dtype=int),
         np.ones(segments), tolerance, np.zeros(2), np.array([[-1.0, 1.0], [-0.1, 0.1]]),
         {"accel_x": 1.0}, 30.0, {"accel_x": plain} | ({"gyro_x": plain} if gyro else {}),
         np.zeros((segments, 2)), np.arange(segments),

@@ -48,8 +48,6 @@ class Cause:
     sentence: str
     separate: str
     """The manoeuvre that distinguishes the cause from similar causes."""
-    generic: bool = False
-    """True for a gain, an offset or a delay of a signal without a physical reason."""
     together: tuple[str, ...] = ()
     """Parameters that are also tested with one common value."""
     with_it: tuple[tuple[str, float], ...] = ()
@@ -269,10 +267,10 @@ CAUSES: tuple[Cause, ...] = (
           "a measured kilometre, or GNSS speed"),
     Cause("free_offset", (*_each("lateral_accel", ("offset",)),
           *_each("longitudinal_accel", ("offset",))),
-          "A signal has an offset.", "stops facing both ways", generic=True),
+          "A signal has an offset.", "stops facing both ways"),
     Cause("free_gain", (*_each("lateral_accel", ("scale",)),
           *_each("longitudinal_accel", ("scale",))),
-          "A signal has an unexplained gain error.", "hard curves and braking", generic=True),
+          "A signal has an unexplained gain error.", "hard curves and braking"),
 )  # fmt: skip
 
 BY_NAME = {cause.name: cause for cause in CAUSES}

@@ -27,13 +27,12 @@ from imucald.diagnosis.cause_keys import (
     with_shifts,
 )
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.direct.direct import Rest, rest_of
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.levels import with_levels
-from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
-from imucald.diagnosis.direct.next_samples import follows, traits_of
-from imucald.diagnosis.direct.sample_changes import CHANGES, changes_of
+from imucald.diagnosis.direct.single_values import Lost, all_lost, as_structure
+from imucald.diagnosis.direct.stops import Rest, rest_of
 from imucald.diagnosis.direct.stuck import Fault
+from imucald.diagnosis.direct.successive import CHANGES, changes_of, follows, traits_of
 from imucald.diagnosis.doubts import doubt, unexplained
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.intervals import estimate, quantile

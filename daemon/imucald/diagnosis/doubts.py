@@ -23,7 +23,7 @@ from imucald.diagnosis.result import (
     WANDERS,
     Structure,
 )
-from imucald.diagnosis.search.standing import leave_out, unsettle
+from imucald.diagnosis.search.search import leave_out, unsettle
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 

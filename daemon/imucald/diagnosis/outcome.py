@@ -18,7 +18,7 @@ from imucald.diagnosis.cause_keys import (
     value,
 )
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
-from imucald.diagnosis.direct.direct import Rest
+from imucald.diagnosis.direct.stops import Rest
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.result import (

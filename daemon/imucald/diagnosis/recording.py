@@ -52,9 +52,6 @@ class Recording:
     cycle_s: Mapping[str, float] = field(default_factory=dict)
     """Cycle time of the message, by channel [s], as the database states it; absent if the database
     has no cycle time."""
-    planar: bool = False
-    """True if the accelerometer has no z axis. The third value of such an accelerometer is declared
-    as one g."""
     problems: tuple[str, ...] = ()
     """The first bad lines, as texts with file and line number."""
 
@@ -93,7 +90,6 @@ def read_samples(
         rejected=dict(sorted(rejected.items())),
         gaps=tuple(kept.gaps),
         cycle_s=_cycles(router.routes, router.channels),
-        planar=loaded.config.signals.accelerometer[0].z is None,
         problems=tuple(reader.problems),
     )
 

@@ -21,8 +21,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
-from imucald.diagnosis.equations.once import Once
-from imucald.diagnosis.equations.reading import Reader, Reference, column
+from imucald.diagnosis.equations.reading import Once, Reader, Reference, column
 from imucald.diagnosis.signals import STEP_S
 from imucald.drive import equations as eq
 from imucald.drive import single_track as tyres

@@ -77,8 +77,6 @@ class Table:
     keys: tuple[str, ...]
     gram: Array
     by_equation: Mapping[str, Array]
-    rows: Array
-    """Number (B,) of whitened rows in each block."""
     start_s: Array
     drive: NDArrayInt
     moving: Array
@@ -297,8 +295,8 @@ def _weighed(
             total = whole.sum(axis=0)
             # A fit with implausible values is not accepted, even if it reduces the noise.
             free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
-    count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
-    keep, nbytes = count > 0, sum(rows.X.nbytes for rows in parts.values())
+    keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
+    nbytes = sum(rows.X.nbytes for rows in parts.values())
 
     def by_equation() -> Mapping[str, Array]:
         return {n: g[keep] for n, g in _gram(parts, weights).items()}
@@ -307,7 +305,7 @@ def _weighed(
         return {n: g[keep] for n, g in _plain(parts).items()}
 
     return Table(
-        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes), count[keep],
+        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes),
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
         next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
         levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},

@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, tolerance
+from imucald.diagnosis.direct.faults import PAUSE_S, late_steps
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.added import AddedRows, level_of, rows_with, whitened
 from imucald.diagnosis.fit.chance import Answer, chance_of_both, chance_of_large, moderated
@@ -59,8 +60,6 @@ TO_ONE_SIDE = ("the direction of turning", *(_last("turning", n) for n in LARGE)
 """Conditions that change sign when left and right are exchanged. A vehicle is symmetric in this
 respect."""
 STAMPS = "the deviation of its time stamps from a constant cycle"
-PAUSE_S = 10.0
-"""Gap [s] after which a sender starts again at any phase of its cycle."""
 ENDS = (0.05, 0.95)
 BEYOND = 0.5
 """Distance beyond the two percentiles up to which a condition is followed, relative to the distance
@@ -436,8 +435,8 @@ def off_cycle(t: Array) -> Array:
     """
     steps = np.diff(t)
     cycle = float(np.median(steps))
-    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
-    late[steps > PAUSE_S] = 0.0
+    late = late_steps(steps, cycle)
+    late[steps > PAUSE_S] = 0.0  # a sender starts again at any phase of its cycle
     total = np.concatenate([[0.0], np.cumsum(late)])
     line = np.column_stack([np.ones(len(t)), t - t.mean()])
     return np.asarray(total - line @ np.linalg.lstsq(line, total, rcond=None)[0])

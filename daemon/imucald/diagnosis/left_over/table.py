@@ -10,14 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from imucald.diagnosis.direct.held_values import held_values
 from imucald.diagnosis.direct.levels import Numbers, coarser, dead_band, hole, signals_of
-from imucald.diagnosis.direct.next_samples import follows, traits_of
-from imucald.diagnosis.direct.sample_changes import (
+from imucald.diagnosis.direct.single_values import held_values
+from imucald.diagnosis.direct.successive import (
     CHANGES,
     changes_missing,
     changes_of,
+    follows,
     jumps_alone,
+    traits_of,
 )
 from imucald.diagnosis.fit.chance import Answer, Row, reported
 from imucald.diagnosis.left_over.adequacy import lines, shared, too_much
