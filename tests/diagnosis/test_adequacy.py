@@ -17,7 +17,7 @@ from imucald.diagnosis.left_over.adequacy import (
     cut_offs,
 )
 from imucald.diagnosis.left_over.remains import DRIVEN
-from imucald.diagnosis.result import OSCILLATES
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.state import State
 from imucald.model.model import VehicleModel
 
@@ -84,7 +84,7 @@ def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
         changes = {f"{signal}.delay_s": x for signal, x in changes.items()}
         state = State((), VehicleModel(), VehicleModel(), {}, changes=changes)
         of = SimpleNamespace(state=state, spectra=spectra)
-        return [s.kind for s in beyond_chance(left(OSCILLATES, of))]
+        return [s.kind for s in beyond_chance(left(Kind.OSCILLATES, of))]
 
     assert found() == ["peak"]
     # 0.45 s late may be a second-order low-pass of 0.5 Hz; 0.1 s one of 2.2 Hz.

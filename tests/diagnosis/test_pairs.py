@@ -28,7 +28,7 @@ from imucald.diagnosis.left_over.pairs import (
     off_cycle,
 )
 from imucald.diagnosis.left_over.remains import Remains
-from imucald.diagnosis.result import GOES_WITH_ANOTHER
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate
@@ -49,7 +49,7 @@ def found(put=None):
     if put is not None:
         put(samples, mount_of(model))
     state = State([drive_of(samples)], model, model, {})
-    return beyond_chance(left(GOES_WITH_ANOTHER, Remains.of_state(state)))
+    return beyond_chance(left(Kind.GOES_WITH_ANOTHER, Remains.of_state(state)))
 
 
 def uneven_gain(s, R, share=0.08):
@@ -112,7 +112,7 @@ def shaken(s, R):
 def test_an_error_that_goes_with_another_signal_is_seen_there(put, signal, what):
     """A gain that goes with the side of a turn is a zero that goes with its amount."""
     (own,) = [s for s in found(put) if s.signal == signal]
-    assert own.kind == GOES_WITH_ANOTHER
+    assert own.kind == Kind.GOES_WITH_ANOTHER
     assert any(each in own.text for each in what)
 
 

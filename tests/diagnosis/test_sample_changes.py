@@ -17,7 +17,7 @@ from imucald.diagnosis.direct.successive import (
     changes_of,
 )
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model
 
@@ -46,7 +46,7 @@ def file_of(model=PLAIN, **how):
 
 def found(file, made, model=PLAIN):
     state = SimpleNamespace(drives=[drive_of(made)], model=model, stated=file)
-    return beyond_chance(left(CHANGES_OTHERWISE, SimpleNamespace(state=state)))
+    return beyond_chance(left(Kind.CHANGES_OTHERWISE, SimpleNamespace(state=state)))
 
 
 def test_the_ratio_to_the_other_axes_is_carried_by_rate():
@@ -65,7 +65,7 @@ def test_another_road_and_a_rougher_one_are_nothing():
 @pytest.mark.parametrize(("times", "words"), [(3.0, " 3 times"), (0.33, "0.33 times")])
 def test_an_axis_that_is_shaken_otherwise_is_reported_with_its_ratio(times, words):
     shown = found(file_of(), samples(2, shaken=(1.0, times, 1.0)))
-    assert {(s.signal, s.kind) for s in shown} >= {("accel_y", CHANGES_OTHERWISE)}
+    assert {(s.signal, s.kind) for s in shown} >= {("accel_y", Kind.CHANGES_OTHERWISE)}
     one = next(s for s in shown if s.signal == "accel_y")
     assert one.size == pytest.approx(max(times, 1 / times) / 2**0.5, rel=0.15)
     assert "in the drives of the model file" in one.text
@@ -108,7 +108,7 @@ def on_change(x: np.ndarray, by: float) -> np.ndarray:
 
 def test_sound_signals_change_by_little_oftener_than_by_much():
     for seed in range(10):
-        assert beyond_chance(odd(CHANGES_MISSING, drive_of(samples(seed)))) == []
+        assert beyond_chance(odd(Kind.CHANGES_MISSING, drive_of(samples(seed)))) == []
 
 
 def test_a_pure_vibration_is_no_signal_that_stays():
@@ -117,7 +117,7 @@ def test_a_pure_vibration_is_no_signal_that_stays():
     t = made["gyro"].t
     x = 0.3 * np.sin(2.0 * np.pi * 11.3 * t)[:, None] * [1.0, 0.7, 0.4]
     made["gyro"] = Series(t, LSB * np.round(x / LSB))
-    assert beyond_chance(odd(CHANGES_MISSING, drive_of(made))) == []
+    assert beyond_chance(odd(Kind.CHANGES_MISSING, drive_of(made))) == []
 
 
 def test_what_is_sent_on_change_is_reported_and_not_called_stuck():
@@ -125,9 +125,9 @@ def test_what_is_sent_on_change_is_reported_and_not_called_stuck():
     slow = np.sin(made["gyro"].t / 9.0)[:, None] * [0.2, 0.1, 0.1]
     x = LSB * np.round((slow + 0.1 * made["gyro"].values) / LSB)
     made["gyro"] = Series(made["gyro"].t, on_change(x, 0.04))
-    shown = beyond_chance(odd(CHANGES_MISSING, drive_of(made)))
+    shown = beyond_chance(odd(Kind.CHANGES_MISSING, drive_of(made)))
     assert {(s.signal, s.kind) for s in shown} == {
-        (f"gyro_{axis}", CHANGES_MISSING) for axis in "xyz"
+        (f"gyro_{axis}", Kind.CHANGES_MISSING) for axis in "xyz"
     }
     assert not [f for f in find_faults(made, PLAIN) if f.cause == "stuck_signal"]
 
@@ -144,7 +144,7 @@ def test_nothing_is_asked_of_few_changes():
     made = {k: Series(s.t[s.t < 60.0], s.values[s.t < 60.0]) for k, s in samples(2).items()}
     made["gyro"] = Series(made["gyro"].t, np.zeros_like(made["gyro"].values))
     drive = drive_of(made)
-    assert not [a for a in odd(CHANGES_MISSING, drive) if a.signal.startswith("gyro")]
+    assert not [a for a in odd(Kind.CHANGES_MISSING, drive) if a.signal.startswith("gyro")]
     names = {f"changes of {n}_{a} at 50 Hz" for n in ("accel", "gyro") for a in "xyz"}
     assert set(changes_of([drive], PLAIN)[SEGMENT_S]) <= names
 
@@ -154,8 +154,8 @@ def test_nothing_is_asked_of_few_changes():
 
 def jumping(made):
     """Signals that are reported."""
-    shown = beyond_chance(odd(JUMPS_ALONE, drive_of(made)))
-    assert {s.kind for s in shown} <= {JUMPS_ALONE}
+    shown = beyond_chance(odd(Kind.JUMPS_ALONE, drive_of(made)))
+    assert {s.kind for s in shown} <= {Kind.JUMPS_ALONE}
     return {s.signal for s in shown}
 
 
@@ -241,6 +241,8 @@ def test_of_noise_with_long_tails_chances_are_no_smaller_than_they_say(freedom):
     t = first["gyro"].t
     for _ in range(150):
         x = rng.standard_t(freedom, (len(t), 3))
-        asked = odd(JUMPS_ALONE, drive_of(first | {"gyro": Series(t, LSB * np.round(x / LSB))}))
+        asked = odd(
+            Kind.JUMPS_ALONE, drive_of(first | {"gyro": Series(t, LSB * np.round(x / LSB))})
+        )
         below += sum(q.p < 0.01 for q in asked if q.signal.startswith("gyro"))
     assert below <= 10  # of 450

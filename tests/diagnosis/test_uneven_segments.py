@@ -12,7 +12,7 @@ from imucald.diagnosis.fit.chance import Answer, beyond_chance, reported
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.left_over.louder import _of_equation
 from imucald.diagnosis.left_over.table import LEFT
-from imucald.diagnosis.result import UNEVEN, Structure
+from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate
@@ -49,8 +49,8 @@ def of_segments(
 
 
 def uneven(problem: Problem, drift: Hypothesis | None = None) -> list[Structure]:
-    rows = [row for row in LEFT if row.kind == UNEVEN]
-    return reported(rows, remains(problem, drift=drift))
+    rows = [row for row in LEFT if row.kind == Kind.UNEVEN]
+    return reported(rows, remains(problem, drift=drift), lambda _: None)
 
 
 @pytest.mark.parametrize("seed", range(10))

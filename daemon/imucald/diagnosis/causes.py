@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
+from imucald.core.angles import RAD_PER_DEG as DEG
 
-DEG = float(np.pi / 180.0)
 MEMS = "consumer MEMS data sheets (BMI160, LSM6DS3, MPU-6500)"
 
 

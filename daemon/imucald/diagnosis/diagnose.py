@@ -43,25 +43,7 @@ from imucald.diagnosis.left_over.louder import LEAVES
 from imucald.diagnosis.left_over.remains import Remains
 from imucald.diagnosis.left_over.table import left_over, odd_values
 from imucald.diagnosis.pictures import pictures_of
-from imucald.diagnosis.result import (
-    CHANGES_MISSING,
-    CHANGES_OTHERWISE,
-    COARSER,
-    FOLLOWS_OTHERWISE,
-    GOES_AGAINST,
-    GOES_WITH_ANOTHER,
-    JUMPS_ALONE,
-    LOUDER,
-    TOO_MUCH,
-    VALUE_HELD,
-    VALUES_MISSING,
-    WANDERS,
-    Certainty,
-    Diagnosis,
-    FoundCause,
-    Gain,
-    Structure,
-)
+from imucald.diagnosis.result import Certainty, Diagnosis, FoundCause, Gain, Kind, Structure
 from imucald.diagnosis.search.low_pass import low_passes
 from imucald.diagnosis.search.search import search
 from imucald.diagnosis.search.state import (
@@ -81,10 +63,11 @@ LEAST_LIMIT_S = 10.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
-UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
+UNBELIEVED = (Kind.GOES_AGAINST, Kind.TOO_MUCH)
 """Kinds of left-over structure with which no fit is trusted."""
 NOT_AS_STATED = (
-    LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
+    Kind.LOUDER, Kind.COARSER, Kind.VALUES_MISSING, Kind.CHANGES_OTHERWISE, Kind.JUMPS_ALONE,
+    Kind.FOLLOWS_OTHERWISE,
 )  # fmt: skip
 """Kinds of left-over structure with which the model file's statements about its own drives are not
 updated."""
@@ -92,9 +75,9 @@ READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are found from the sequence of a signal's values."""
 ONE_SENSOR = ("accel", "gyro")
 """Signals that come from one sensor, over one connection."""
-MOVES = (WANDERS, GOES_WITH_ANOTHER)
+MOVES = (Kind.WANDERS, Kind.GOES_WITH_ANOTHER)
 """Kinds of structure in which a zero error changes during the drive."""
-BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
+BETWEEN = (Kind.FOLLOWS_OTHERWISE, Kind.VALUES_MISSING, Kind.CHANGES_MISSING, Kind.JUMPS_ALONE)
 """Kinds of structure in raw values that arise between sensor and log."""
 HALF = 0.5
 """Smallest ratio of a written half width (`known_to`) to the tolerance. A drive has only one
@@ -134,9 +117,8 @@ def diagnose(
     if wrong:
         state.leave_out(unexplained(wrong), ())
     search(state, tick, late, GYRO_BIAS if rest else ())
-    report(0.8, "what is left")
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *(wrong or left_over(state)))
+    left = (*gone.values(), *odd, *(wrong or left_over(state, partial(report, 0.8))))
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
@@ -219,7 +201,8 @@ def _begun(
     lost = [all_lost(samples) for samples in drives]
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
-    odd = odd_values(_signals(drives, faults, lost, held=True), model)
+    held = _signals(drives, faults, lost, held=True)
+    odd = odd_values(held, model, partial(report, 0.05))
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
@@ -318,7 +301,7 @@ def _shows_zero(left: Sequence[Structure]) -> bool:
     """True if the gyroscope's mean at stops is its zero error in the whole drive. False if the
     sensor may show this mean for all small rates, or if the zero error changes during the drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
-    return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
+    return not any(s.kind in (Kind.VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:

@@ -13,7 +13,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import TILTED, Table
-from imucald.diagnosis.fit.score import Problem, fitted, folds
+from imucald.diagnosis.fit.score import Problem, fitted, folds, losses
 from imucald.diagnosis.result import Gain, SignalGain
 
 Z95 = 1.959964
@@ -66,8 +66,7 @@ def gain_of(
         return summed(held_out, worse), signals
     if not free or before.blocks != table.blocks:
         return Gain(0.0, (0.0, 0.0), tuple(worse if was_fitted else ()), was_fitted), signals
-    z = np.concatenate([np.ones((table.blocks, 1)), -x], axis=1)
-    d = _weighted_losses(before, table) - 0.5 * np.einsum("bi,bij,bj->b", z, table.gram, z)
+    d = _weighted_losses(before, table) - losses(table.gram, x)
     return summed(d, worse), signals
 
 
@@ -94,8 +93,7 @@ def _weighted_losses(before: Table, after: Table) -> Array:
 def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
     """True if the residual of an equation is larger with the written file: by two standard errors
     of the difference over blocks, and by more than 1 %."""
-    z = np.concatenate([np.ones((after.blocks, 1)), -x], axis=1)
-    new = np.einsum("bi,bkij,bj->b", z, after.plain[name], z)
+    new = 2.0 * losses(after.plain[name].sum(axis=1), x)
     old = before.plain[name][:, :, 0, 0].sum(axis=1)
     if len(new) != len(old):
         return False

@@ -19,7 +19,7 @@ from scipy.stats import binom
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.diagnosis.fit.chance import Answer
-from imucald.diagnosis.result import READINGS_LOST, Structure
+from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.signals import DriveSignals, Mask
 
 LEAST_ROWS = 100
@@ -76,7 +76,7 @@ def as_structure(name: str, lost: Lost) -> Structure:
         "values: readings are lost (a loose contact, or a default value)"
     )
     signal = f"{name}_x" if len(lost.value) > 1 else name
-    return Structure(signal, READINGS_LOST, float(lost.visits), text)
+    return Structure(signal, Kind.READINGS_LOST, float(lost.visits), text)
 
 
 def lost_readings(series: Series, signals: int) -> Lost | None:

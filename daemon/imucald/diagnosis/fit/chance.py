@@ -18,6 +18,8 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array
 from imucald.diagnosis.result import Structure
 
+Tick = Callable[[str], None]
+"""Function that is called with the text of the present step."""
 FALSE_SHARE = 0.01
 """False-discovery rate of the reports. If nothing is wrong, this is the chance of any report."""
 
@@ -62,9 +64,9 @@ class Answer:
 class Row:
     """One question about structure that no cause of the catalogue explains."""
 
-    question: str
     kind: str
     """Kind of the reported structure."""
+    question: str
     statistic: Callable[[Any], Iterable[Answer]]
     """Function of the evidence of the table."""
     has_limit: bool = False
@@ -90,12 +92,13 @@ def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
     return 2.0 * max(float(student.sf(by_parts, free)), float(norm.sf(by_rows)))
 
 
-def reported(rows: Iterable[Row], evidence: Any, apart: str = "") -> list[Structure]:
-    """Ask all rows, and return the structures to report. apart: parameter whose answers have a
-    false-discovery rate of their own."""
+def reported(rows: Iterable[Row], evidence: Any, tick: Tick, apart: str = "") -> list[Structure]:
+    """Ask all rows, and return the structures to report. tick: called with each question. apart:
+    parameter whose answers have a false-discovery rate of their own."""
     certain: list[Structure] = []
     others: list[Answer] = []
     for row in rows:
+        tick(row.question)
         answers = row.asked(evidence)
         if row.has_limit:
             certain += [a.structure for a in answers if a.is_large]

@@ -180,9 +180,13 @@ def folds(blocks: int) -> Iterator[Mask]:
 
 
 def losses(gram: Array, x: Array) -> Array:
-    """Return half of the squared whitened residual of each block (B,)."""
-    z = np.concatenate([[1.0], -x])
-    return np.asarray(0.5 * (gram @ z @ z))
+    """Return half of the squared residual of each block (B,). x: (Q,) parameters, or (B, Q) of each
+    block."""
+    if x.ndim == 1:
+        z = np.concatenate([[1.0], -x])
+        return np.asarray(0.5 * (gram @ z @ z))
+    rows = np.insert(-x, 0, 1.0, axis=1)
+    return np.asarray(0.5 * np.einsum("bi,bij,bj->b", rows, gram, rows))
 
 
 def fitted(gram: Array, low: Array, high: Array) -> Array:

@@ -18,9 +18,9 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt, late_signals
 from imucald.diagnosis.fit.chance import Answer
-from imucald.diagnosis.fit.score import one_in_fifteen
+from imucald.diagnosis.fit.score import losses, one_in_fifteen
 from imucald.diagnosis.left_over.remains import DRIVEN, DRIVING_MPS, Remains, Spectra
-from imucald.diagnosis.result import GOES_AGAINST, Structure
+from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import STEP_S, Mask
 
@@ -94,7 +94,7 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
         r = float(np.corrcoef(y, p)[0, 1])
         if r < OPPOSITE:
             text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
-            found.append(Structure(name, GOES_AGAINST, abs(r), text))
+            found.append(Structure(name, Kind.GOES_AGAINST, abs(r), text))
     return found
 
 
@@ -104,8 +104,7 @@ def too_much(left: Remains) -> Iterator[Answer]:
     name, table = "accel_y", left.table
     if not {name, "gyro_x"} <= set(table.plain):
         return
-    z = np.concatenate([[1.0], -left.problem.fit()])
-    power = np.sort(np.einsum("i,bkij,j->b", z, table.plain[name], z))
+    power = np.sort(2.0 * losses(table.plain[name].sum(axis=1), left.problem.fit()))
     power = power[power > 0.0]
     # Single blocks must not decide: a block in which the sensor is knocked has no fixed mount.
     power = power[: len(power) - one_in_fifteen(len(power))]

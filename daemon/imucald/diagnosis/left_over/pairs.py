@@ -28,7 +28,7 @@ from imucald.diagnosis.fit.intervals import scatters
 from imucald.diagnosis.fit.score import without_best
 from imucald.diagnosis.left_over.courses import DELAY, EITHER_SIDE, amount
 from imucald.diagnosis.left_over.remains import Remains
-from imucald.diagnosis.result import WANDERS
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.trials import SINGLE_NATS
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 from imucald.model.model import VehicleModel
@@ -284,7 +284,7 @@ def _answers(asked: Sequence[Asked], u: Array, h: Array, model: VehicleModel) ->
             # The value minus one standard deviation counts, if unseen data confirm it.
             sure=value * (1.0 - 1.0 / max(sigma, 1.0)) if test.gain > SINGLE_NATS else 0.0,
             rare=chance_of_large(may, value / max(sigma, 1e-300), float(count)),
-            kind=WANDERS if condition == STAMPS else "",
+            kind=Kind.WANDERS if condition == STAMPS else "",
         )  # fmt: skip
 
 

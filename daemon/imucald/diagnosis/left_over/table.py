@@ -20,7 +20,7 @@ from imucald.diagnosis.direct.successive import (
     jumps_alone,
     traits_of,
 )
-from imucald.diagnosis.fit.chance import Answer, Row, reported
+from imucald.diagnosis.fit.chance import Answer, Row, Tick, reported
 from imucald.diagnosis.left_over.adequacy import lines, shared, too_much
 from imucald.diagnosis.left_over.courses import DELAY, by_course, gains_apart
 from imucald.diagnosis.left_over.louder import LEAVES, more_than_stated, uneven
@@ -28,24 +28,7 @@ from imucald.diagnosis.left_over.orders import orders
 from imucald.diagnosis.left_over.pairs import pairs
 from imucald.diagnosis.left_over.remains import Remains
 from imucald.diagnosis.outcome import implausible
-from imucald.diagnosis.result import (
-    CHANGES_MISSING,
-    CHANGES_OTHERWISE,
-    COARSER,
-    FOLLOWS_OTHERWISE,
-    GOES_WITH_ANOTHER,
-    JUMPS_ALONE,
-    LOUDER,
-    OSCILLATES,
-    SHARED_MOTION,
-    TOO_MUCH,
-    TURNS_WITH_WHEEL,
-    UNEVEN,
-    VALUE_HELD,
-    VALUES_MISSING,
-    WANDERS,
-    Structure,
-)
+from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
@@ -88,44 +71,48 @@ def _changing(left: Remains) -> Iterator[Answer]:
 
 
 ODD = (
-    Row("Are the values further apart than in the drives of the model file?", COARSER,
+    Row(Kind.COARSER, "Are the values further apart than in the drives of the model file?",
         _of_each(coarser)),
-    Row("Is a speed 0 up to a higher value than in the drives of the model file?",
-        VALUES_MISSING, _of_each(dead_band)),
-    Row("Does a signal jump over a range that it never shows?", VALUES_MISSING, _of_each(hole)),
-    Row("Does a signal stay constant until it changes by a large amount?", CHANGES_MISSING,
+    Row(Kind.VALUES_MISSING,
+        "Is a speed 0 up to a higher value than in the drives of the model file?",
+        _of_each(dead_band)),
+    Row(Kind.VALUES_MISSING, "Does a signal jump over a range that it never shows?",
+        _of_each(hole)),
+    Row(Kind.CHANGES_MISSING, "Does a signal stay constant until it changes by a large amount?",
         _of_each(changes_missing)),
-    Row("Do single values jump?", JUMPS_ALONE, _of_each(jumps_alone)),
-    Row("Do samples follow each other in another way than in the drives of the model file?",
-        FOLLOWS_OTHERWISE, _following),
+    Row(Kind.JUMPS_ALONE, "Do single values jump?", _of_each(jumps_alone)),
+    Row(Kind.FOLLOWS_OTHERWISE,
+        "Do samples follow each other in another way than in the drives of the model file?",
+        _following),
 )  # fmt: skip
 LEFT = (
-    Row("Is the sideways residual larger than in any measured car?", TOO_MUCH, too_much, True),
-    Row("Do some segments have a residual larger than their noise?", UNEVEN, uneven, True),
-    Row("Does a sensor show one value far more often than the neighbouring values?", VALUE_HELD,
+    Row(Kind.TOO_MUCH, "Is the sideways residual larger than in any measured car?", too_much, True),
+    Row(Kind.UNEVEN, "Do some segments have a residual larger than their noise?", uneven, True),
+    Row(Kind.VALUE_HELD,
+        "Does a sensor show one value far more often than the neighbouring values?",
         lambda left: held_values(left.state.drives), True),
-    Row("Do two equations without a common sensor have a common residual?", SHARED_MOTION,
+    Row(Kind.SHARED_MOTION, "Do two equations without a common sensor have a common residual?",
         shared, True),
-    Row("Does an error of one signal depend on another signal?", GOES_WITH_ANOTHER, pairs),
-    Row("Does the speed oscillate with each turn of a wheel?", TURNS_WITH_WHEEL, orders),
-    Row("Does a residual oscillate at one frequency?", OSCILLATES, lines),
-    Row("Does a zero error, a gain or a delay change with time?", WANDERS, by_course),
-    Row("Do the gains of segments differ, in any order?", WANDERS, gains_apart),
-    Row("Is the median residual larger than in the drives of the model file?", LOUDER,
+    Row(Kind.GOES_WITH_ANOTHER, "Does an error of one signal depend on another signal?", pairs),
+    Row(Kind.TURNS_WITH_WHEEL, "Does the speed oscillate with each turn of a wheel?", orders),
+    Row(Kind.OSCILLATES, "Does a residual oscillate at one frequency?", lines),
+    Row(Kind.WANDERS, "Does a zero error, a gain or a delay change with time?", by_course),
+    Row(Kind.WANDERS, "Do the gains of segments differ, in any order?", gains_apart),
+    Row(Kind.LOUDER, "Is the median residual larger than in the drives of the model file?",
         _beside_stated),
-    Row("Do some segments have a larger residual than in the drives of the model file?", LOUDER,
+    Row(Kind.LOUDER, "Do some segments leave more than in the drives of the model file?",
         more_than_stated),
-    Row("Do the changes of samples differ from the drives of the model file?", CHANGES_OTHERWISE,
-        _changing),
+    Row(Kind.CHANGES_OTHERWISE,
+        "Do the changes of samples differ from the drives of the model file?", _changing),
 )  # fmt: skip
 
 
-def odd_values(drives: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
+def odd_values(drives: Sequence[DriveSignals], model: VehicleModel, tick: Tick) -> list[Structure]:
     """Return structure in raw values that no healthy signal shows. Faults are not included."""
-    return reported(ODD, RawValues(drives, model))
+    return reported(ODD, RawValues(drives, model), tick)
 
 
-def left_over(state: State) -> list[Structure]:
+def left_over(state: State, tick: Tick) -> list[Structure]:
     """Return structure in the residuals that no cause explains. Stamps that leave their cycle need
     an explanation, so the delay of the speed has an error rate of its own."""
-    return [*implausible(state), *reported(LEFT, Remains.of_state(state), apart=DELAY)]
+    return [*implausible(state), *reported(LEFT, Remains.of_state(state), tick, apart=DELAY)]

@@ -17,6 +17,7 @@ import numpy as np
 
 from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import CAUSES, family
+from imucald.diagnosis.fit.chance import Tick
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
 from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
@@ -33,7 +34,6 @@ from imucald.diagnosis.search.trials import (
 )
 
 MOST_NAMED = 6
-Tick = Callable[[str], None]
 
 
 def asked_again(state: State, trial: Trial) -> Trial:

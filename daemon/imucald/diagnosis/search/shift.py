@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
-from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
