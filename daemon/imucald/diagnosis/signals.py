@@ -227,12 +227,8 @@ def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveS
         )
     t = np.asarray(start + STEP_S * np.arange(int((stop - start) / STEP_S)))
     knots = _knots(channels, t)
-    accel = channels["accel"].values
-    return DriveSignals(t, channels, knots, _stops(channels, knots, t), _is_planar(accel))
-
-
-def _is_planar(accel: Array) -> bool:
-    return bool(np.ptp(accel[:, 2]) == 0.0)
+    planar = bool(np.ptp(channels["accel"].values[:, 2]) == 0.0)
+    return DriveSignals(t, channels, knots, _stops(channels, knots, t), planar)
 
 
 def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:

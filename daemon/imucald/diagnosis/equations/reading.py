@@ -21,6 +21,7 @@ from imucald.model.model import VehicleModel
 T = TypeVar("T")
 Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
 REFERENCE_DEGC = 25.0
+GAINS = ("accel.scale", "accel.cross_axis")
 Part = tuple[tuple[str, float], ...]
 """Changes, as pairs of key and value."""
 OF_TRIAD = {
@@ -169,7 +170,7 @@ class Reader:
                 felt = self.raw("accel", self.age("accel", changes)) - self._level(name)
                 raw = raw - (sensor.per_force - stated) * felt
         true = raw @ np.linalg.inv(sensor.gain).T
-        if name == "accel" and any(_is_gain(key) for key in changes):
+        if name == "accel" and any(key.startswith(GAINS) for key in changes):
             # A gain is defined about one g upright; its effect on that one g counts as a zero
             # error.
             stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
@@ -232,10 +233,6 @@ class Reader:
 
 def _part(changes: Changes, beginnings: tuple[str, ...]) -> Part:
     return tuple((key, x) for key, x in changes.items() if key.startswith(beginnings))
-
-
-def _is_gain(key: str) -> bool:
-    return key.startswith(("accel.scale", "accel.cross_axis"))
 
 
 def column(x: Array, i: int) -> Array:

@@ -287,8 +287,9 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
     for i in range(PASSES):
-        left = _without_tilt(parts, free)
-        weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
+        left = {n: (rows.y - rows.X @ free)[:, :, None] for n, rows in parts.items()}
+        left = levelled(left, tilts_of(parts))
+        weights = {n: noise_weights(left[n][:, :, 0], rows.good) for n, rows in parts.items()}
         gram = _gram(parts, weights)
         whole = np.asarray(sum(gram.values()))
         if i + 1 < PASSES:
@@ -312,12 +313,6 @@ def _weighed(
     )  # fmt: skip
 
 
-def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
-    """Return the residual rows (B, K) minus X x, with the tilt fitted again."""
-    left = {name: (rows.y - rows.X @ x)[:, :, None] for name, rows in parts.items()}
-    return {name: y[:, :, 0] for name, y in levelled(left, tilts_of(parts)).items()}
-
-
 def tilts_of(
     parts: Mapping[str, Rows], weights: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
@@ -337,15 +332,11 @@ def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str,
     if not tilts:
         return dict(rows)
     A, Z = (np.concatenate([of[n] for n in tilts], axis=1) for of in (rows, tilts))
-    ends = np.cumsum([z.shape[1] for z in tilts.values()])[:-1]
-    made = dict(zip(tilts, np.split(without_tilt(A, Z), ends, axis=1), strict=True))
-    return made | {n: a for n, a in rows.items() if n not in made}
-
-
-def without_tilt(A: Array, Z: Array) -> Array:
-    """Return rows (B, K, P) with the tilt (B, K, Z) of each block projected out."""
     inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
-    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
+    level = A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A)
+    ends = np.cumsum([z.shape[1] for z in tilts.values()])[:-1]
+    made = dict(zip(tilts, np.split(level, ends, axis=1), strict=True))
+    return made | {n: a for n, a in rows.items() if n not in made}
 
 
 def noise_weights(left: Array, good: Mask) -> Array:

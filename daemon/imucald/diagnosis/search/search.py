@@ -213,7 +213,9 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         _beside_rivals(state, late)
         more = {t.hypothesis.name for t in state.doubtful} - fallen
         fallen |= more
-        if not more or _is_ended(state) or late():
+        drifts = any(t.hypothesis.pattern is not None for t in state.named)
+        is_ended = drifts or state.shift is not None or bool(state.implausible)
+        if not more or is_ended or late():
             break
     delay_or_low_pass(state)
     if state.doubtful:
@@ -226,12 +228,6 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
             if t.hypothesis.name not in known
             and all(_is_form_of(t, other) for other in _alike(t, state.last))
         ]
-
-
-def _is_ended(state: State) -> bool:
-    """True if the findings so far end the search."""
-    drifts = any(t.hypothesis.pattern is not None for t in state.named)
-    return drifts or state.shift is not None or bool(state.implausible)
 
 
 def _grown(
