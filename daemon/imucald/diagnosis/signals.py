@@ -33,9 +33,11 @@ BESIDE = 10
 """Number of samples before and after a sample from which the local share of repeated values is
 computed."""
 CHANCE = 0.01
-"""Chance of a wrong decision about a sensor with many repeated values: that its early frames are
-duplicates."""
+"""Chance of a false finding of one test in one drive without errors. A test of several signals,
+axes or bands divides this chance among them."""
 STANDING_MPS = 0.05
+DRIVING_MPS = 2.0
+"""Speed above which a vehicle is surely driving, whatever its speed sensor's dead band."""
 FASTEST_REST_RADPS = np.radians(0.3)
 """Largest rms of a gyroscope about its mean at rest [rad/s]. An idling engine causes a smaller
 rms."""

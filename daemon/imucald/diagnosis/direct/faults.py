@@ -19,7 +19,7 @@ from imucald.core.text import counted
 from imucald.diagnosis.direct.single_values import Lost
 from imucald.diagnosis.direct.stuck import STUCK, Fault, is_shown_often, stuck, stuck_fault
 from imucald.diagnosis.direct.successive import stays_until_off
-from imucald.diagnosis.signals import Channel, Mask, Spans, duplicates
+from imucald.diagnosis.signals import CHANCE, Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
 from imucald.motion.recorded_health import recorded_health
 
@@ -39,9 +39,6 @@ PARTS = 8
 slope in the whole drive."""
 LEAST_ROWS = 100
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-CHANCE = 0.01
-"""Chance of a falsely found end of a range or stuck value in one drive. This chance is divided
-among the sensors."""
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""

@@ -20,11 +20,9 @@ from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.result import Kind, Structure
-from imucald.diagnosis.signals import DriveSignals, Mask
+from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, DriveSignals, Mask
 
 LEAST_ROWS = 100
-CHANCE = 0.01
-"""Chance of a false finding in one drive. This chance is divided among the signals of the drive."""
 RARE = 0.01
 """Largest share of a sensor's usual steps that may be as large as a jump."""
 PASSES_HALF = 0.25
@@ -33,7 +31,6 @@ half its usual distance of a value, it reaches the value in at most this share o
 reason is that the tails of a distribution with a finite variance fall faster than 1/x^2
 (Chebyshev)."""
 SENSORS = ("accel", "gyro")
-MOVING_MPS = 2.0
 BESIDE = 3
 """Smallest number of neighbouring levels on each side of a value. The value is compared with the
 most frequent of these levels."""
@@ -131,7 +128,7 @@ def held_values(drives: Sequence[DriveSignals]) -> Iterator[Answer]:
 
 def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Answer]:
     channel = drive.channels[name]
-    moving = np.interp(channel.t, drive.knots.t, np.abs(drive.knots.values)) > MOVING_MPS
+    moving = np.interp(channel.t, drive.knots.t, np.abs(drive.knots.values)) > DRIVING_MPS
     table = channel.values[moving]
     if len(table) < LEAST_SHOWN:
         return

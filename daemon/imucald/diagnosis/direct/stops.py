@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import mounts, sensor_of, tolerance
-from imucald.diagnosis.signals import DriveSignals
+from imucald.diagnosis.signals import CHANCE, DriveSignals
 from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
@@ -22,7 +22,6 @@ LEAST_SE = 0.04 * DEG
 """Accuracy of the zero error from one or two stops [rad/s]. Between the stops of one measured
 drive, the zero error differs by 0.03 deg/s."""
 FINEST_SE = 0.004 * DEG
-CHANCE = 0.01
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, Samples, Series
 from imucald.core.text import counted
-from imucald.diagnosis.signals import Channel, Spans
+from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, Channel, Spans
 
 Index = NDArray[np.intp]
 FEW_STAYS = 20
@@ -52,14 +52,11 @@ LEAST_WINDOWS = 8
 APART = 4
 """Divisor of the window length: if a window contains a stop, the next window begins 1/APART of a
 length later."""
-MOVING_MPS = 2.0
 STUCK = "stuck_signal"
 STUCK_S, STUCK_RUNS = 8.0, 4.0
 """Shortest time [s] that counts as stuck for a signal that may keep its value. The time must also
 be STUCK_RUNS times the usual stay, or too long for chance (`number_as_long`)."""
 FEW_OTHERS = 3
-CHANCE = 0.01
-"""Chance of a false finding for each slow signal of a drive without faults."""
 PARTNER_SHARE = 0.5
 """Smallest ratio of a related signal's spread during a stay to its usual spread, at which the slow
 signal counts as stuck."""
@@ -164,7 +161,7 @@ def _integral(x: Array) -> Array:
 def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
     """Return the first rows of consecutive windows of n rows in motion. No window contains part of
     an interval."""
-    good = v > MOVING_MPS
+    good = v > DRIVING_MPS
     for low, high in spans:
         good &= (t < low) | (t > high)
     bad = np.concatenate([[0], np.cumsum(~good)])
@@ -235,7 +232,7 @@ def stuck(
     # Missing frames are another fault.
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
     # Only time in motion counts; a long interval may contain stops.
-    steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
+    steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > DRIVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
     usual = _usual(length)

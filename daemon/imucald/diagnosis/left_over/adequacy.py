@@ -19,18 +19,15 @@ from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt, late_signals
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import losses, one_in_fifteen
-from imucald.diagnosis.left_over.remains import DRIVEN, DRIVING_MPS, Remains, Spectra
+from imucald.diagnosis.left_over.remains import DRIVEN, Remains, Spectra
 from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import STEP_S, Mask
+from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, STEP_S, Mask
 
 OPPOSITE = -0.4
 """Correlation of a signal with its prediction below which a sign is wrong."""
 LEAST_ROWS = 300
 LEAST_BLOCKS = 10
-CHANCE = 0.01
-"""Chance of a reported coherence from noise alone. This chance is divided among the frequency
-bands."""
 HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""

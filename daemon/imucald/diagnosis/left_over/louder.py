@@ -32,6 +32,7 @@ from imucald.diagnosis.fit.beside_file import (
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import one_in_fifteen
 from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.signals import CHANCE
 from imucald.model.leaves import BANDS_HZ, Leaves
 
 SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
@@ -47,8 +48,6 @@ CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
 """Smallest number of blocks: with fewer blocks, the median and the one block that must not decide
 cannot be separated."""
-CHANCE = 0.01
-"""Chance that more than one segment in fifteen exceeds the assumed noise by noise alone."""
 OF_MEDIAN = 2.0 / np.pi
 """Ratio of the variance of the mean to the variance of the median, for normal variables."""
 SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",

@@ -19,13 +19,12 @@ from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE, Table
 from imucald.diagnosis.fit.score import Hypothesis, Problem, what_leaves
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import on_table
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Mask
+from imucald.diagnosis.signals import DRIVING_MPS, STANDING_MPS, STEP_S, Mask
 from imucald.model.leaves import BANDS_HZ
 
 Spectra = NDArray[np.complex128]
 DRIVEN = ("_winding", "_braking")
 """Names of the lateral and forward accelerations that the driver causes."""
-DRIVING_MPS = 2.0
 
 
 class DriveResiduals(NamedTuple):
