@@ -67,7 +67,7 @@ DIAGNOSIS_ROOMS: Mapping[str, set[str]] = {
     "fit": {"equations"},
     "search": {"equations", "fit"},
     "direct": {"equations", "fit"},
-    "left_over": {"equations", "fit", "search"},
+    "left_over": {"equations", "fit", "search", "direct"},
 }
 """Rooms of the diagnosis, and those of its others that each imports."""
 

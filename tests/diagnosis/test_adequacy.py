@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from table_rows import left
 
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.left_over.adequacy import (
     BANDS_HZ,
-    DRIVEN,
     MOST_LEFT_MPS2,
     _calm,
     _common,
     cut_offs,
-    lines,
 )
+from imucald.diagnosis.left_over.remains import DRIVEN
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.state import State
 from imucald.model.model import VehicleModel
 
@@ -80,7 +83,8 @@ def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
     def found(**changes):
         changes = {f"{signal}.delay_s": x for signal, x in changes.items()}
         state = State((), VehicleModel(), VehicleModel(), {}, changes=changes)
-        return [s.kind for s in beyond_chance(lines(state, spectra))]
+        of = SimpleNamespace(state=state, spectra=spectra)
+        return [s.kind for s in beyond_chance(left(Kind.OSCILLATES, of))]
 
     assert found() == ["peak"]
     # 0.45 s late may be a second-order low-pass of 0.5 Hz; 0.1 s one of 2.2 Hz.

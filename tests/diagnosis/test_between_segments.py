@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from table_rows import remains
 
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import beyond_chance
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.left_over.courses import by_course, gains_apart
-from imucald.diagnosis.search.standing import simplify
+from imucald.diagnosis.search.search import simplify
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 from imucald.model.model import VehicleModel
@@ -36,7 +37,7 @@ def problem_of(y, X, keys, tolerance) -> Problem:
     gram = np.swapaxes(A, 1, 2) @ A
     n = len(keys)
     table = Table(
-        keys, gram, {"accel_x": gram}, np.full(BLOCKS, ROWS), 30.0 * np.arange(BLOCKS),
+        keys, gram, {"accel_x": gram}, 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(n),
         np.tile([-1.0, 1.0], (n, 1)), {"accel_x": 1.0}, 30.0, {}, np.zeros((BLOCKS, 2)),
         np.arange(BLOCKS),
@@ -64,8 +65,8 @@ def heated(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gain_that_comes_and_goes_is_reported_with_its_size(seed):
     gain = heated(seed + 10)
-    found = list(gains_apart(problem(seed, gain, "speed.scale", GAIN), state(), None))
-    assert [q.structure.parameter for q in found] == ["speed.scale"]
+    found = list(gains_apart(remains(problem(seed, gain, "speed.scale", GAIN))))
+    assert [a.parameter for a in found] == ["speed.scale"]
     assert found[0].p < 1e-6
     assert found[0].is_large
     assert found[0].structure.size == pytest.approx(np.std(gain) * 3.0**0.5 / GAIN, rel=0.2)
@@ -75,28 +76,28 @@ def test_a_gain_that_comes_and_goes_is_reported_with_its_size(seed):
 def test_one_gain_however_far_off_or_gains_within_tolerance_are_not(seed):
     rng = np.random.default_rng(200 + seed)
     for gain in (np.full(BLOCKS, 0.08), GAIN * rng.uniform(-1.0, 1.0, BLOCKS)):
-        (q,) = gains_apart(problem(seed, gain, "speed.scale", GAIN), state(), None)
+        (q,) = gains_apart(remains(problem(seed, gain, "speed.scale", GAIN)))
         assert q.p > 1e-3
 
 
 def test_one_segment_in_fifteen_does_not_decide():
     gain = np.zeros(BLOCKS)
     gain[[5, 20]] = 0.3
-    (q,) = gains_apart(problem(1, gain, "speed.scale", GAIN), state(), None)
+    (q,) = gains_apart(remains(problem(1, gain, "speed.scale", GAIN)))
     assert q.p > 0.05
 
 
 def test_of_a_zero_segments_are_not_asked():
     """A segment's own takes what its road makes of it."""
     zero = problem(1, 6.0 * heated(1), "accel.bias.x", ZERO, size=3.0)
-    assert list(gains_apart(zero, state(), None)) == []
+    assert list(gains_apart(remains(zero))) == []
 
 
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
 def test_a_drift_stands_where_no_step_does_as_well(grows, is_even):
     drift = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=RAMP)
     p = problem(3, 5.0 * ZERO * grows, "accel.bias.x", ZERO, size=3.0)
-    left = beyond_chance(list(by_course(p, drift)))
+    left = beyond_chance(by_course(remains(p, drift=drift)))
     assert (left == []) == is_even
     if left:
         assert left[0].parameter == "accel.bias.x"
@@ -137,7 +138,7 @@ def clocks(delay) -> tuple[Fixed, Trial]:
 @pytest.mark.parametrize(("grows", "is_even"), [(RAMP, True), (STEP, False)])
 def test_clocks_run_apart_where_no_step_of_the_delay_does_as_well(grows, is_even):
     known, _ = clocks(0.1 + 0.6 * grows)
-    left = beyond_chance(list(by_course(known.evaluated(), None)))
+    left = beyond_chance(by_course(remains(known.evaluated())))
     assert (left == []) == is_even
     if left:
         assert left[0].parameter == "speed.delay_s"

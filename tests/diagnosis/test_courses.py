@@ -9,11 +9,13 @@ from math import comb
 import numpy as np
 import pytest
 from scipy.stats import norm
+from table_rows import remains
 
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question, beyond_chance
+from imucald.diagnosis.fit.chance import Answer, beyond_chance
 from imucald.diagnosis.fit.score import Problem
 from imucald.diagnosis.left_over.courses import _share_of_orders, by_course
+from imucald.diagnosis.left_over.table import LEFT
 from imucald.diagnosis.result import Structure
 
 BLOCKS, ROWS = 48, 60
@@ -35,7 +37,7 @@ def problem_of(y, X) -> Problem:
     gram = np.swapaxes(A, 1, 2) @ A
     tolerance = np.array([TOLERANCE, 0.01])
     table = Table(
-        KEYS, gram, {"accel_x": gram}, np.full(BLOCKS, y.shape[1]), 30.0 * np.arange(BLOCKS),
+        KEYS, gram, {"accel_x": gram}, 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(2),
         np.array([[-1.0, 1.0], [-0.1, 0.1]]), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
         np.arange(BLOCKS),
@@ -45,7 +47,12 @@ def problem_of(y, X) -> Problem:
 
 def found(p: Problem, how: str = "") -> list[Structure]:
     """What is reported; how: only of questions whose text has it."""
-    return beyond_chance([q for q in by_course(p, None) if how in q.structure.text])
+    (row,) = (row for row in LEFT if row.statistic is by_course)
+    return beyond_chance(a for a in row.asked(remains(p)) if how in a.text)
+
+
+def large(signal: str, p: float, rare: float = 1.0) -> Answer:
+    return Answer(signal, 2.0, 1.0, p, "", rare=rare)
 
 
 def structures(p: Problem) -> set[tuple[str, str]]:
@@ -71,11 +78,11 @@ def test_of_many_questions_chance_alone_shows_nothing_and_what_is_small_is_left_
     rng = np.random.default_rng(6)
     over = 0
     for _ in range(400):
-        asked = [Question(float(p), True, Structure("a", "b", 1.0, "")) for p in rng.random(100)]
+        asked = [large("a", float(p)) for p in rng.random(100)]
         over += bool(beyond_chance(asked))
     assert over <= 12
-    small = Question(1e-9, False, Structure("a", "b", 1.0, ""))
-    assert beyond_chance([small, Question(0.5, True, Structure("c", "d", 1.0, ""))]) == []
+    small = replace(large("a", 1e-9), size=0.0)
+    assert beyond_chance([small, large("c", 0.5)]) == []
 
 
 def test_a_gain_that_is_another_from_a_moment_on_is_told_of_with_its_time_and_size():
@@ -144,9 +151,9 @@ def test_segments_that_differ_by_chance_have_even_chances():
 
 def test_what_can_never_look_large_takes_no_chance_from_what_can():
     """A value that is known well is small and sure: it is no attempt at a false report."""
-    there = Question(1e-3, True, Structure("a", "b", 2.0, ""), 1e-3)
-    known = [Question(0.5, False, Structure("c", "d", 0.1, ""), 1e-12)] * 1000
-    open_ = [Question(0.5, False, Structure("c", "d", 0.1, ""))] * 1000
+    there = large("a", 1e-3, 1e-3)
+    known = [replace(large("c", 0.5, 1e-12), size=0.1)] * 1000
+    open_ = [replace(large("c", 0.5), size=0.1)] * 1000
     assert beyond_chance([there, *known]) == [there.structure]
     assert beyond_chance([there, *open_]) == []
 
@@ -160,7 +167,7 @@ def test_of_what_is_reported_one_in_a_hundred_is_false():
             limit = 3.29 if i % 2 else 0.0
             z = abs(rng.standard_normal() + (6.0 if i < 3 else 0.0))
             p, rare = 2.0 * norm.sf(z), min(1.0, 2.0 * float(norm.sf(limit)))
-            asked.append(Question(p, z > limit, Structure(str(i), "", z, ""), rare))
+            asked.append(Answer(str(i), z, limit, p, "", shown=z, rare=rare))
         told = [int(s.signal) for s in beyond_chance(asked)]
         false, reported = false + sum(i >= 3 for i in told), reported + len(told)
     assert reported > 5000

@@ -12,7 +12,7 @@ from hidden import Effect, hidden_drive
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Diagnosis
+from imucald.diagnosis.result import Diagnosis, Kind
 from imucald.model.model import model_from_mapping
 
 MINUTES = 15.0
@@ -99,7 +99,7 @@ def test_a_wrong_sign_is_stated_first_and_nothing_is_fitted_to_it():
     d = diagnose([samples], model_from_mapping(dict(made.model), "baseline"))
     assert d.verdict == "unknown"
     assert d.causes == ()
-    assert {s.kind for s in d.structure} == {GOES_AGAINST}
+    assert {s.kind for s in d.structure} == {Kind.GOES_AGAINST}
 
 
 @pytest.mark.parametrize("cause", ["trailer_sway", "sloshing_load"])
@@ -183,7 +183,7 @@ def test_gusts_on_the_sensor_alone_are_unknown_and_no_fit_is_believed():
     samples["accel"] = Series(t, samples["accel"].values + push[:, None] * sideways)
     d = diagnose([samples], model_from_mapping(dict(made.model), "b"))
     assert d.verdict == "unknown"
-    assert TOO_MUCH in {s.kind for s in d.structure}
+    assert Kind.TOO_MUCH in {s.kind for s in d.structure}
     assert not d.causes
     assert not d.recommended
     assert d.model_after == d.model_before

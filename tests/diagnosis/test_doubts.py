@@ -14,17 +14,9 @@ from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.outcome import signals_of
-from imucald.diagnosis.result import (
-    GOES_WITH_ANOTHER,
-    NOT_PLAUSIBLE,
-    UNEVEN,
-    WANDERS,
-    Diagnosis,
-    Structure,
-)
-from imucald.diagnosis.search.search import search
+from imucald.diagnosis.result import Diagnosis, Kind, Structure
+from imucald.diagnosis.search.search import search, unsettle
 from imucald.diagnosis.search.shift import FittedShift
-from imucald.diagnosis.search.standing import unsettle
 from imucald.diagnosis.search.state import State, shift_steps
 from imucald.diagnosis.search.trials import Trial
 from imucald.diagnosis.signals import drive_of
@@ -100,7 +92,7 @@ def test_a_drift_that_is_doubted_is_not_ruled_out_and_moves_nothing():
     assert state.changes == {"accel.bias.x": 0.3}
 
 
-@pytest.mark.parametrize("kind", [GOES_WITH_ANOTHER, UNEVEN])
+@pytest.mark.parametrize("kind", [Kind.GOES_WITH_ANOTHER, Kind.UNEVEN])
 def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
     state, drift = with_a_drift(5.0)
     doubt(state, [Structure("accel_x", kind, 2.0, "", "speed.scale")], [])
@@ -108,11 +100,13 @@ def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
     assert state.doubtful == [drift]
 
 
-@pytest.mark.parametrize(("kind", "stands"), [(WANDERS, True), (GOES_WITH_ANOTHER, False)])
+@pytest.mark.parametrize(
+    ("kind", "stands"), [(Kind.WANDERS, True), (Kind.GOES_WITH_ANOTHER, False)]
+)
 def test_a_moved_mount_is_not_ruled_out_beside_what_no_turn_leaves(kind, stands):
     """After a turn by 10 deg zeros and gains seem to wander: it is followed to first order."""
     model, one = VehicleModel(), np.ones(3)
-    shift = FittedShift("step", 300.0, 0.1 * one, 0.01 * one, 3.0, one, 50.0, one, 270.0, 300.0)
+    shift = FittedShift("step", 300.0, 0.1 * one, 0.01 * one, 3.0, one, 50.0, 270.0, 300.0)
     state = State((), model, with_shifts(model, shift_steps(shift)), {}, shift=shift)
     doubt(state, [Structure("accel_x", kind, 2.0, "", "accel.bias.x")], [])
     assert (state.shift is shift) == stands
@@ -120,7 +114,7 @@ def test_a_moved_mount_is_not_ruled_out_beside_what_no_turn_leaves(kind, stands)
     assert bool(state.model.mount.shifts) == stands
 
 
-@pytest.mark.parametrize("kind", [None, WANDERS])
+@pytest.mark.parametrize("kind", [None, Kind.WANDERS])
 def test_what_is_only_likely_stands_where_nothing_is_left(kind):
     state, drift = with_a_drift(5.0)
     state.named, state.likely = [], [drift]
@@ -133,7 +127,7 @@ def test_what_is_only_likely_stands_where_nothing_is_left(kind):
 @pytest.mark.parametrize(("wanders", "stands"), [("speed.scale", True), ("accel.bias.x", False)])
 def test_beside_a_wander_stands_what_is_not_of_the_same_parameter(wanders, stands):
     state, drift = with_a_drift(5.0)
-    doubt(state, [Structure("accel_x", WANDERS, 2.0, "", wanders)], [])
+    doubt(state, [Structure("accel_x", Kind.WANDERS, 2.0, "", wanders)], [])
     assert (state.named == [drift]) == stands
 
 
@@ -146,7 +140,7 @@ def test_beside_what_cannot_be_stands_what_is_named_without_all_that_it_explains
     How far the fit is pulled in sample is no measure of it."""
     state, drift = with_a_drift(pull, nats)
     state.implausible.append(with_a_drift(pull)[1])
-    doubt(state, [Structure("accel_x", NOT_PLAUSIBLE, 2.0, "")], [])
+    doubt(state, [Structure("accel_x", Kind.NOT_PLAUSIBLE, 2.0, "")], [])
     assert (state.named == [drift]) == stands
 
 
@@ -185,7 +179,7 @@ def test_what_is_certain_of_the_speed_stays_certain_where_the_accelerometer_is_u
     ],
 )  # fmt: skip
 def test_what_is_unexplained_leaves_the_equations_that_do_not_take_it(signal, rest):
-    assert set(TAKES) - unexplained([Structure(signal, UNEVEN, 2.0, "")]) == rest
+    assert set(TAKES) - unexplained([Structure(signal, Kind.UNEVEN, 2.0, "")]) == rest
 
 
 @pytest.mark.slow
@@ -198,7 +192,7 @@ def test_a_cause_that_other_equations_show_by_themselves_stands_beside_an_unexpl
     assert {t.hypothesis.name for t in state.named} == {"gyro_bias"}
     assert signals_of(state.table, ["gyro.bias.x"]) == ("accel_x", "accel_y")
     true = mount_of(model) @ [made.truth["gyro_bias"][f"gyro.bias.{i}"] for i in range(3)]
-    doubt(state, [Structure("speed", GOES_WITH_ANOTHER, 2.0, "")], [])
+    doubt(state, [Structure("speed", Kind.GOES_WITH_ANOTHER, 2.0, "")], [])
     assert {t.hypothesis.name for t in state.named} == {"gyro_bias"}
     assert [state.model.gyro.bias @ mount_of(model)[i] for i in (0, 1)] == pytest.approx(
         true[:2], abs=1e-3
@@ -218,7 +212,7 @@ def beside_a_delay(shows_upward: float) -> tuple[Table, Trial]:
     grams["accel_z"][:, 2, 2], grams["accel_z"][:, 3, 3] = shows_upward, 1.0
     one = np.ones(n)
     table = Table(
-        KEYS, sum(grams.values()), grams, np.full(4, 9), 30.0 * np.arange(4),
+        KEYS, sum(grams.values()), grams, 30.0 * np.arange(4),
         np.zeros(4, dtype=int), np.ones(4), 0.01 * one, 0.0 * one, np.tile([-1.0, 1.0], (n, 1)),
         {}, 30.0, {}, np.zeros((4, 2)), np.arange(4),
     )  # fmt: skip

@@ -7,9 +7,8 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.baseline import _rates
-from imucald.diagnosis.direct.faults import find_faults, invalid_spans
-from imucald.diagnosis.direct.lost_readings import all_lost
-from imucald.diagnosis.direct.stamps import clock_of
+from imucald.diagnosis.direct.faults import clock_of, find_faults, invalid_spans
+from imucald.diagnosis.direct.single_values import all_lost
 from imucald.diagnosis.outcome import cause_of_fault
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel

@@ -12,7 +12,7 @@ from hidden import Effect, hidden_drive
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import extended, mount_of, value, with_delay_rate, with_shifts
-from imucald.diagnosis.direct.direct import Rest, rest_of
+from imucald.diagnosis.direct.stops import Rest, rest_of
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.blocks import table_of
 from imucald.diagnosis.signals import Channel, drive_of, duplicates, unusable

@@ -7,8 +7,8 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.direct.faults import find_faults
-from imucald.diagnosis.direct.held_speed import chances_of_sensors
-from imucald.diagnosis.direct.lost_readings import all_lost
+from imucald.diagnosis.direct.single_values import all_lost
+from imucald.diagnosis.direct.stuck import chances_of_sensors
 from imucald.model.model import VehicleModel
 
 SECONDS = 1500.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.diagnosis.direct.held_values import held_values
+from imucald.diagnosis.direct.single_values import held_values
 from imucald.diagnosis.signals import drive_of
 
 SECONDS = 300.0
@@ -32,11 +32,11 @@ def drive(dead=0.0, lsb=0.0005, noise=0.01):
 
 
 def test_a_dead_zone_is_a_value_that_is_held():
-    found = held_values([drive(dead=0.03)])
+    found = list(held_values([drive(dead=0.03)]))
     assert {s.signal for s in found} == {"gyro_x", "gyro_y", "gyro_z"}
     assert all("0 rad/s" in s.text for s in found)
 
 
 @pytest.mark.parametrize(("lsb", "noise"), [(0.0005, 0.01), (0.02, 0.004)])
 def test_a_sound_sensor_holds_no_value_nor_does_a_coarse_one(lsb, noise):
-    assert held_values([drive(lsb=lsb, noise=noise)]) == []
+    assert list(held_values([drive(lsb=lsb, noise=noise)])) == []

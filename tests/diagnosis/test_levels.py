@@ -5,12 +5,13 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
+from table_rows import odd
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
-from imucald.diagnosis.direct.levels import coarser, holes, levels_of, step_of, with_levels
+from imucald.diagnosis.direct.levels import levels_of, step_of, with_levels
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.result import COARSER, VALUES_MISSING
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model
 
@@ -43,7 +44,9 @@ def file_of(**how):
 
 
 def found(file, made):
-    return beyond_chance(coarser([drive_of(made)], file))
+    return beyond_chance(
+        a for k in (Kind.COARSER, Kind.VALUES_MISSING) for a in odd(k, drive_of(made), file)
+    )
 
 
 def test_a_grid_is_known_by_its_step_and_what_has_none_by_none():
@@ -71,7 +74,7 @@ def test_an_extended_file_is_read_as_it_was_written(tmp_path):
 
 
 def test_a_file_without_levels_is_held_against_nothing():
-    assert coarser([drive_of(samples(2, 1.0 / 3.6))], VehicleModel()) == []
+    assert odd(Kind.COARSER, drive_of(samples(2, 1.0 / 3.6))) == []
 
 
 def test_a_file_with_a_step_of_nothing_is_held_against_nothing():
@@ -94,7 +97,7 @@ def test_another_drive_of_the_same_sensors_is_nothing():
 
 
 def test_whole_kmh_are_reported_with_their_step_and_that_of_the_file():
-    (one,) = [s for s in found(file_of(), samples(2, 1.0 / 3.6)) if s.kind == COARSER]
+    (one,) = [s for s in found(file_of(), samples(2, 1.0 / 3.6)) if s.kind == Kind.COARSER]
     assert one.signal == "speed"
     assert one.size == pytest.approx(27.8, abs=0.1)
     assert "0.278 m/s" in one.text
@@ -118,12 +121,12 @@ def test_each_number_of_a_sensor_is_asked():
     values = made["accel"].values.copy()
     values[:, 1] = 0.04 * np.round(values[:, 1] / 0.04)
     made["accel"] = Series(made["accel"].t, values)
-    assert [(s.signal, s.kind) for s in found(file_of(), made)] == [("accel_y", COARSER)]
+    assert [(s.signal, s.kind) for s in found(file_of(), made)] == [("accel_y", Kind.COARSER)]
 
 
 def test_a_speed_that_says_0_up_to_walking_pace_is_reported():
     (one,) = found(file_of(), samples(2, from_mps=1.0))
-    assert (one.signal, one.kind) == ("speed", VALUES_MISSING)
+    assert (one.signal, one.kind) == ("speed", Kind.VALUES_MISSING)
     assert "shows 0 up to 1" in one.text
 
 
@@ -137,14 +140,14 @@ def test_a_bit_that_is_always_0_leaves_holes():
     codes = np.round(values[:, 1] / 0.01).astype(int)
     values[:, 1] = 0.01 * (codes & ~32)
     made["accel"] = Series(made["accel"].t, values)
-    (one,) = beyond_chance(holes([drive_of(made)]))
-    assert (one.signal, one.kind) == ("accel_y", VALUES_MISSING)
+    (one,) = beyond_chance(odd(Kind.VALUES_MISSING, drive_of(made)))
+    assert (one.signal, one.kind) == ("accel_y", Kind.VALUES_MISSING)
     assert one.size > 30.0
 
 
 def test_sound_signals_have_no_holes():
     for seed in range(10):
-        assert beyond_chance(holes([drive_of(samples(seed))])) == []
+        assert beyond_chance(odd(Kind.VALUES_MISSING, drive_of(samples(seed)))) == []
 
 
 def test_two_places_with_nothing_between_are_no_hole_where_it_goes_over_once():
@@ -153,7 +156,7 @@ def test_two_places_with_nothing_between_are_no_hole_where_it_goes_over_once():
     values = 0.1 * made["accel"].values
     values[len(values) // 2 :] += 5.0
     made["accel"] = Series(made["accel"].t, 0.01 * np.round(values / 0.01))
-    assert beyond_chance(holes([drive_of(made)])) == []
+    assert beyond_chance(odd(Kind.VALUES_MISSING, drive_of(made))) == []
 
 
 def test_who_rounds_twice_leaves_no_holes():
@@ -161,7 +164,7 @@ def test_who_rounds_twice_leaves_no_holes():
     made = samples(2)
     x = 0.0098 * np.round(made["accel"].values / 0.0098)
     made["accel"] = Series(made["accel"].t, 0.002 * np.round(x / 0.002))
-    assert beyond_chance(holes([drive_of(made)])) == []
+    assert beyond_chance(odd(Kind.VALUES_MISSING, drive_of(made))) == []
 
 
 @pytest.mark.parametrize("degrees", [2.0, 10.0, 30.0])
@@ -173,4 +176,4 @@ def test_readings_that_were_turned_after_they_were_rounded_leave_no_holes(degree
     half = np.arange(len(turned))[:, None] < 0.4 * len(turned)
     for values in (turned, np.where(half, made["accel"].values, turned)):
         made["accel"] = Series(made["accel"].t, values)
-        assert beyond_chance(holes([drive_of(made)])) == []
+        assert beyond_chance(odd(Kind.VALUES_MISSING, drive_of(made))) == []

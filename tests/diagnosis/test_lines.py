@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.left_over.adequacy import _question
+from imucald.diagnosis.left_over.adequacy import _of_line
 
 SEGMENTS, ROWS = 40, 300
 HZ = np.fft.rfftfreq(ROWS, 0.1)
@@ -25,7 +25,7 @@ def found(seed=0, amplitude=0.0, hz=2.3, shape=None, segments=SEGMENTS):
     swing = amplitude * np.sin(2.0 * np.pi * hz * 0.1 * np.arange(ROWS) + phase)
     y[:segments] += swing[:segments]
     z = np.fft.rfft(y * WINDOW, axis=1)
-    return beyond_chance([_question("accel_y", z, HZ, ASKED, 0.06)])
+    return beyond_chance([_of_line("accel_y", z, HZ, ASKED, 0.06)])
 
 
 def test_a_swing_at_one_frequency_is_a_line_there():

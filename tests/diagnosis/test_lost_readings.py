@@ -7,14 +7,8 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.diagnose import _shows_zero
-from imucald.diagnosis.direct.lost_readings import all_lost, as_structure, lost_readings
-from imucald.diagnosis.result import (
-    GOES_WITH_ANOTHER,
-    READINGS_LOST,
-    VALUE_HELD,
-    WANDERS,
-    Structure,
-)
+from imucald.diagnosis.direct.single_values import all_lost, as_structure, lost_readings
+from imucald.diagnosis.result import Kind, Structure
 
 RATE_HZ, SECONDS = 50.0, 300.0
 SIGNALS = 5
@@ -49,7 +43,7 @@ def test_what_a_contact_that_opens_shows_is_found_row_by_row(value):
     assert (lost.rows == rows).all()
     assert len(lost.kept(series).t) == int((~rows).sum())
     structure = as_structure("accel", lost)
-    assert structure.kind == READINGS_LOST
+    assert structure.kind == Kind.READINGS_LOST
     assert "m/s^2" in structure.text
 
 
@@ -110,8 +104,8 @@ def test_lost_readings_do_not_say_that_the_zero_at_stops_is_held():
 
 
 @pytest.mark.parametrize(("signal", "kind", "parameter", "shows"), [
-    ("gyro_x", VALUE_HELD, "", False), ("gyro", GOES_WITH_ANOTHER, "", False),
-    ("gyro_x", WANDERS, "gyro.bias.x", False), ("accel_x", WANDERS, "accel.bias.x", True),
+    ("gyro_x", Kind.VALUE_HELD, "", False), ("gyro", Kind.GOES_WITH_ANOTHER, "", False),
+    ("gyro_x", Kind.WANDERS, "gyro.bias.x", False), ("accel_x", Kind.WANDERS, "accel.bias.x", True),
 ])  # fmt: skip
 def test_a_zero_that_is_not_the_same_all_along_is_not_what_stops_show(
     signal, kind, parameter, shows

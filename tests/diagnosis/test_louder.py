@@ -10,12 +10,8 @@ from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.fit.beside_file import leaves_of
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.left_over.louder import (
-    LEAVES,
-    _by_band,
-    left_of,
-)
-from imucald.diagnosis.result import LOUDER
+from imucald.diagnosis.left_over.louder import LEAVES
+from imucald.diagnosis.left_over.remains import Remains, rms_by_band
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import STEP_S, drive_of
 from imucald.model.model import VehicleModel, load_model, model_from_mapping
@@ -32,12 +28,12 @@ def segments(seed: int, times: float = 1.0, count: int = SEGMENTS):
 
 def found(seed: int, times: float, count: int = SEGMENTS, name: str = "accel_z"):
     file = leaves_of({name: segments(seed)}, SEGMENT_S)[name]
-    return beyond_chance(LEAVES.questions(name, segments(1000 + seed, times, count)[1], file))
+    return beyond_chance(LEAVES.of_entry(name, segments(1000 + seed, times, count)[1], file))
 
 
 def test_a_sine_lies_in_its_band_with_its_size():
     t = STEP_S * (np.arange(300) + 0.5)
-    rms = _by_band(np.cos(2.0 * np.pi * 0.3 * t)[None], np.ones((1, 300), dtype=bool))[0]
+    rms = rms_by_band(np.cos(2.0 * np.pi * 0.3 * t)[None], np.ones((1, 300), dtype=bool))[0]
     assert rms[2] == pytest.approx(np.sqrt(0.5))
     assert np.delete(rms, 2) == pytest.approx(np.zeros(5), abs=1e-9)
 
@@ -56,14 +52,14 @@ def test_another_road_is_nothing(times):
 
 def test_what_no_road_of_the_next_class_leaves_is_reported_with_its_size():
     (one,) = found(3, 10.0)
-    assert (one.signal, one.kind) == ("accel_z", LOUDER)
+    assert one.signal == "accel_z"
     assert one.size == pytest.approx(5.0, rel=0.5)
     assert "times the residual that the model file states" in one.text
 
 
 def test_what_the_road_does_not_shake_is_held_more_sharply():
     """Along the road nothing is twice as much by chance, and by a deviation more."""
-    assert [s.kind for s in found(4, 3.0, name="accel_x")] == [LOUDER]
+    assert [s.signal for s in found(4, 3.0, name="accel_x")] == ["accel_x"]
     assert found(4, 3.0) == []
     assert [found(seed, 1.5, name="accel_x") for seed in range(20)] == [[]] * 20
 
@@ -74,7 +70,7 @@ def test_sideways_a_road_shakes_above_the_frequencies_at_which_the_body_lies_on_
     file = leaves_of({"accel_y": segments(4)}, SEGMENT_S)["accel_y"]
     rms = segments(1004)[1]
     rms[:, band] *= 3.0
-    assert bool(beyond_chance(LEAVES.questions("accel_y", rms, file))) == is_seen
+    assert bool(beyond_chance(LEAVES.of_entry("accel_y", rms, file))) == is_seen
 
 
 @pytest.mark.parametrize("likeness", [0.0, 0.4])
@@ -90,7 +86,7 @@ def test_segments_that_last_over_neighbours_count_for_fewer(likeness):
         own, other = np.exp(SPREAD * logs)
         v = np.linspace(5.0, 30.0, SEGMENTS)
         file = leaves_of({"accel_x": (v, other)}, SEGMENT_S)["accel_x"]
-        wrong += LEAVES.questions("accel_x", own, file)[0].p < 0.01
+        wrong += next(LEAVES.of_entry("accel_x", own, file)).p < 0.01
     assert wrong <= 20
 
 
@@ -105,17 +101,17 @@ def of(model: VehicleModel, seed: int, shake: float = 0.0):
     push = shake * np.sin(2.0 * np.pi * 0.3 * accel.t)
     samples["accel"] = Series(accel.t, accel.values + push[:, None] * mount_of(model)[2])
     state = State([drive_of(samples)], model, model, {})
-    return state.evaluated(), state
+    return Remains(state.evaluated(), state).by_band
 
 
 @pytest.mark.slow
 def test_a_later_drive_is_held_against_what_the_file_carries():
     plain = random_model(516)
-    assert LEAVES.asked(left_of(*of(plain, 517, shake=1.0)), plain) == []
-    model = LEAVES.written(plain, left_of(*of(plain, 516)))
+    assert list(LEAVES.answers(of(plain, 517, shake=1.0), plain)) == []
+    model = LEAVES.written(plain, of(plain, 516))
     assert {"accel_x", "accel_y", "accel_z"} <= set(model.leaves)
-    assert beyond_chance(LEAVES.asked(left_of(*of(model, 517)), model)) == []
-    seen = beyond_chance(LEAVES.asked(left_of(*of(model, 517, shake=1.0)), model))
+    assert beyond_chance(LEAVES.answers(of(model, 517), model)) == []
+    seen = beyond_chance(LEAVES.answers(of(model, 517, shake=1.0), model))
     assert "accel_z" in {s.signal for s in seen}
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.ndimage import median_filter
+from table_rows import odd
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.direct.levels import with_levels
-from imucald.diagnosis.direct.next_samples import follows, traits_of
+from imucald.diagnosis.direct.successive import follows, traits_of
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.result import FOLLOWS_OTHERWISE
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model
 
@@ -44,7 +45,7 @@ def file() -> VehicleModel:
 
 
 def asked_of(drives, file: VehicleModel):
-    return follows(drives, file).asked(traits_of(drives), file)
+    return odd(Kind.FOLLOWS_OTHERWISE, *drives, file)
 
 
 def found(file: VehicleModel, made: dict[str, Series]):
@@ -86,7 +87,7 @@ def test_other_roads_and_other_drivers_are_nothing(file):
 def test_what_comes_between_sensor_and_log_is_seen_on_all_axes_alike(file, change, words):
     """No equation shows it, and no axis differs from the others."""
     left = found(file, changed(samples(2), "gyro", change))
-    assert {s.kind for s in left} == {FOLLOWS_OTHERWISE}
+    assert {s.kind for s in left} == {Kind.FOLLOWS_OTHERWISE}
     assert {s.signal for s in left} == {"gyro_x", "gyro_y", "gyro_z"}
     asked = asked_of([drive_of(changed(samples(2), "gyro", change))], file)
     assert any(words in q.structure.text and q.is_large and q.p < 1e-6 for q in asked)

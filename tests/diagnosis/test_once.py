@@ -8,7 +8,7 @@ import pytest
 from hidden import hidden_drive
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.equations.once import Once
+from imucald.diagnosis.equations.reading import Once
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import model_from_mapping
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from table_rows import left
 
 from imucald.core.samples import Series
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.left_over.orders import RUN_OUT, asked_of
-from imucald.diagnosis.result import TURNS_WITH_WHEEL
+from imucald.diagnosis.left_over.orders import RUN_OUT
+from imucald.diagnosis.left_over.remains import residuals_of
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate
 
@@ -36,7 +39,8 @@ def found(period_s: float, swing=None):
     at = np.arange(own.t[0], own.t[-1], period_s)
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(at))
     samples = samples | {"speed": Series(at, np.interp(at, t, shown) + noise * (v.max() > 0.0))}
-    return beyond_chance(asked_of([Forward(drive_of(samples), model, 300)], {}))
+    residuals = residuals_of(Forward(drive_of(samples), model, 300), {})
+    return beyond_chance(left(Kind.TURNS_WITH_WHEEL, SimpleNamespace(drives=[residuals])))
 
 
 def turning(metres, size=0.02):
@@ -51,7 +55,7 @@ def in_time(t, _):
 @pytest.mark.parametrize("round_m", [1.7, 2.1])
 def test_what_goes_round_with_a_wheel_is_found_however_seldom_it_is_sampled(period_s, round_m):
     (one,) = found(period_s, turning(round_m))
-    assert one.kind == TURNS_WITH_WHEEL
+    assert one.kind == Kind.TURNS_WITH_WHEEL
     assert f"once in {round_m:.1f}" in one.text
     # Between samples a second apart the way is known less well, and part of a swing is lost.
     least = 0.3 if period_s == 1.0 else 0.6

@@ -9,8 +9,7 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Samples, Series
 from imucald.diagnosis.direct.faults import find_faults
-from imucald.diagnosis.direct.held_speed import chances_of_sensors
-from imucald.diagnosis.direct.own_stays import chance_of_any, number_as_long
+from imucald.diagnosis.direct.stuck import chance_of_any, chances_of_sensors, number_as_long
 from imucald.model.model import VehicleModel
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import norm
+from table_rows import left
 
 from imucald.core.samples import Series
 from imucald.diagnosis.cause_keys import mount_of
@@ -25,9 +26,9 @@ from imucald.diagnosis.left_over.pairs import (
     conditions,
     may_be,
     off_cycle,
-    pairs,
 )
-from imucald.diagnosis.result import GOES_WITH_ANOTHER
+from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
 from imucald.simulation import random_model, simulate
@@ -48,7 +49,7 @@ def found(put=None):
     if put is not None:
         put(samples, mount_of(model))
     state = State([drive_of(samples)], model, model, {})
-    return beyond_chance(pairs(state.evaluated(), state, None))
+    return beyond_chance(left(Kind.GOES_WITH_ANOTHER, Remains.of_state(state)))
 
 
 def uneven_gain(s, R, share=0.08):
@@ -111,7 +112,7 @@ def shaken(s, R):
 def test_an_error_that_goes_with_another_signal_is_seen_there(put, signal, what):
     """A gain that goes with the side of a turn is a zero that goes with its amount."""
     (own,) = [s for s in found(put) if s.signal == signal]
-    assert own.kind == GOES_WITH_ANOTHER
+    assert own.kind == Kind.GOES_WITH_ANOTHER
     assert any(each in own.text for each in what)
 
 
@@ -273,5 +274,5 @@ def test_a_speed_that_is_late_from_some_moment_on_with_even_stamps_is_seen(step)
     late = np.interp(t - step * (t > t[0] + 500.0), t, v)
     runs_wrong = t if step else t + 2e-4 * (t - t[0])
     state = State([drive_of({**samples, "speed": Series(runs_wrong, late)})], model, model, {})
-    left = beyond_chance(list(by_course(state.evaluated(), None)))
-    assert [s.parameter for s in left] == (["speed.delay_s"] if step else [])
+    found = beyond_chance(by_course(Remains.of_state(state)))
+    assert [s.parameter for s in found] == (["speed.delay_s"] if step else [])

@@ -73,7 +73,6 @@ def test_time_is_from_the_first_frame_and_counts_are_reported(recording):
     assert recording.frames_read == len(frames)
     assert recording.gaps == ()
     assert recording.name == "drive.log"
-    assert not recording.planar
 
 
 def test_cycle_times_are_those_of_the_database(recording):
@@ -133,12 +132,11 @@ def test_only_the_first_of_several_sensors_is_read(tmp_path):
     assert found.samples["speed"].values == pytest.approx([44.704])  # second choices of a scalar do
 
 
-def test_a_sensor_without_z_is_reported(tmp_path):
+def test_a_sensor_without_z_is_read(tmp_path):
     flat = load("database: bus.dbc\nsignals:\n  accelerometer: {x: ACC_XY.BX, y: ACC_XY.BY}\n",
                 tmp_path)  # fmt: skip
     log = say(Sender(flat), tmp_path / "flat.log", (0.0, "ACC_XY", {"BX": 1.0, "BY": 0.0}))
     found = read_samples(flat, [log])
-    assert found.planar
     assert found.samples["accel"].values.shape == (1, 3)
 
 

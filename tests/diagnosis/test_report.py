@@ -20,17 +20,7 @@ import pytest
 from html_page import NAME_SPACES, Page
 from imucald.core.errors import ImucaldError
 from imucald.diagnosis.gain import gain_of
-from imucald.diagnosis.result import (
-    GOES_AGAINST,
-    NOT_PLAUSIBLE,
-    TOO_MUCH,
-    WANDERS,
-    Candidate,
-    Estimated,
-    Gain,
-    SignalGain,
-    Structure,
-)
+from imucald.diagnosis.result import Candidate, Estimated, Gain, Kind, SignalGain, Structure
 from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
@@ -392,7 +382,9 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_reported():
 
 
 def test_what_explains_the_numbers_and_cannot_be_has_its_signs_as_printed():
-    left = Structure("accel_x", NOT_PLAUSIBLE, 4.0, "accel scale off by 0.17 +- 0.03 explains it")
+    left = Structure(
+        "accel_x", Kind.NOT_PLAUSIBLE, 4.0, "accel scale off by 0.17 +- 0.03 explains it"
+    )
     said = words.verdict(replace(made.nothing(), verdict="unknown", structure=(left,)))
     assert said.explanation.startswith("Accel scale off by 0.17 ± 0.03 explains it.")
 
@@ -406,7 +398,7 @@ def test_structure_beside_what_was_found_is_reported():
 
 
 def test_a_wrong_sign_is_the_headline():
-    wrong = Structure("gyro_z", GOES_AGAINST, 1.0, "a sign is wrong")
+    wrong = Structure("gyro_z", Kind.GOES_AGAINST, 1.0, "a sign is wrong")
     said = words.verdict(replace(made.nothing(), verdict="unknown", structure=(wrong,)))
     assert said.headline == "Unknown: opposite sign to the model's prediction in gyroscope up"
     assert "imucald check" in said.explanation
@@ -425,7 +417,9 @@ def test_the_evidence_has_the_distance_that_the_threshold_is_for():
 
 
 def test_a_row_of_one_signal_that_fits_an_error_of_another_says_so():
-    other = Structure("accel_x", WANDERS, 2.0, "gyro.bias.y changes by 0.043 deg/s", "gyro.bias.y")
+    other = Structure(
+        "accel_x", Kind.WANDERS, 2.0, "gyro.bias.y changes by 0.043 deg/s", "gyro.bias.y"
+    )
     text = words.structure_text(other)
     assert text.startswith("the residual fits an error of another signal: gyroscope zero")
     assert text.endswith("changes by 0.043 deg/s")
@@ -549,7 +543,7 @@ def test_a_fault_alone_does_not_promise_a_better_prediction():
 
 
 def test_beside_a_loose_sensor_no_file_is_recommended():
-    loose = Structure("accel_y", TOO_MUCH, 3.0, "1 m/s^2 is left")
+    loose = Structure("accel_y", Kind.TOO_MUCH, 3.0, "1 m/s^2 is left")
     d = made.found(structure=(loose,), recommended=False)
     explanation = words.verdict(d).explanation
     assert "the model does not explain accelerometer left" in explanation

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from table_rows import left, odd
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.direct.faults import find_faults
-from imucald.diagnosis.direct.sample_changes import (
+from imucald.diagnosis.direct.successive import (
     CHANGES,
     SEGMENT_S,
-    changes_missing,
     changes_of,
-    jumps_alone,
 )
 from imucald.diagnosis.fit.chance import beyond_chance
-from imucald.diagnosis.result import CHANGES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.signals import drive_of
 from imucald.model.model import VehicleModel, load_model
 
@@ -44,7 +45,8 @@ def file_of(model=PLAIN, **how):
 
 
 def found(file, made, model=PLAIN):
-    return beyond_chance(CHANGES.asked(changes_of([drive_of(made)], model), file))
+    state = SimpleNamespace(drives=[drive_of(made)], model=model, stated=file)
+    return beyond_chance(left(Kind.CHANGES_OTHERWISE, SimpleNamespace(state=state)))
 
 
 def test_the_ratio_to_the_other_axes_is_carried_by_rate():
@@ -62,9 +64,9 @@ def test_another_road_and_a_rougher_one_are_nothing():
 
 @pytest.mark.parametrize(("times", "words"), [(3.0, " 3 times"), (0.33, "0.33 times")])
 def test_an_axis_that_is_shaken_otherwise_is_reported_with_its_ratio(times, words):
-    left = found(file_of(), samples(2, shaken=(1.0, times, 1.0)))
-    assert {(s.signal, s.kind) for s in left} >= {("accel_y", CHANGES_OTHERWISE)}
-    one = next(s for s in left if s.signal == "accel_y")
+    shown = found(file_of(), samples(2, shaken=(1.0, times, 1.0)))
+    assert {(s.signal, s.kind) for s in shown} >= {("accel_y", Kind.CHANGES_OTHERWISE)}
+    one = next(s for s in shown if s.signal == "accel_y")
     assert one.size == pytest.approx(max(times, 1 / times) / 2**0.5, rel=0.15)
     assert "in the drives of the model file" in one.text
 
@@ -81,7 +83,7 @@ def test_another_rate_is_not_compared():
     made = samples(2, shaken=(1.0, 5.0, 1.0))
     half = {k: Series(s.t[::2], s.values[::2]) for k, s in made.items() if k != "speed"}
     file = file_of()
-    assert CHANGES.asked(changes_of([drive_of(made | half)], PLAIN), file) == []
+    assert list(CHANGES.answers(changes_of([drive_of(made | half)], PLAIN), file)) == []
 
 
 def test_an_extended_file_is_read_as_it_was_written(tmp_path):
@@ -106,7 +108,7 @@ def on_change(x: np.ndarray, by: float) -> np.ndarray:
 
 def test_sound_signals_change_by_little_oftener_than_by_much():
     for seed in range(10):
-        assert beyond_chance(changes_missing([drive_of(samples(seed))])) == []
+        assert beyond_chance(odd(Kind.CHANGES_MISSING, drive_of(samples(seed)))) == []
 
 
 def test_a_pure_vibration_is_no_signal_that_stays():
@@ -115,7 +117,7 @@ def test_a_pure_vibration_is_no_signal_that_stays():
     t = made["gyro"].t
     x = 0.3 * np.sin(2.0 * np.pi * 11.3 * t)[:, None] * [1.0, 0.7, 0.4]
     made["gyro"] = Series(t, LSB * np.round(x / LSB))
-    assert beyond_chance(changes_missing([drive_of(made)])) == []
+    assert beyond_chance(odd(Kind.CHANGES_MISSING, drive_of(made))) == []
 
 
 def test_what_is_sent_on_change_is_reported_and_not_called_stuck():
@@ -123,9 +125,9 @@ def test_what_is_sent_on_change_is_reported_and_not_called_stuck():
     slow = np.sin(made["gyro"].t / 9.0)[:, None] * [0.2, 0.1, 0.1]
     x = LSB * np.round((slow + 0.1 * made["gyro"].values) / LSB)
     made["gyro"] = Series(made["gyro"].t, on_change(x, 0.04))
-    left = beyond_chance(changes_missing([drive_of(made)]))
-    assert {(s.signal, s.kind) for s in left} == {
-        (f"gyro_{axis}", CHANGES_MISSING) for axis in "xyz"
+    shown = beyond_chance(odd(Kind.CHANGES_MISSING, drive_of(made)))
+    assert {(s.signal, s.kind) for s in shown} == {
+        (f"gyro_{axis}", Kind.CHANGES_MISSING) for axis in "xyz"
     }
     assert not [f for f in find_faults(made, PLAIN) if f.cause == "stuck_signal"]
 
@@ -142,7 +144,7 @@ def test_nothing_is_asked_of_few_changes():
     made = {k: Series(s.t[s.t < 60.0], s.values[s.t < 60.0]) for k, s in samples(2).items()}
     made["gyro"] = Series(made["gyro"].t, np.zeros_like(made["gyro"].values))
     drive = drive_of(made)
-    assert not [q for q in changes_missing([drive]) if q.structure.signal.startswith("gyro")]
+    assert not [a for a in odd(Kind.CHANGES_MISSING, drive) if a.signal.startswith("gyro")]
     names = {f"changes of {n}_{a} at 50 Hz" for n in ("accel", "gyro") for a in "xyz"}
     assert set(changes_of([drive], PLAIN)[SEGMENT_S]) <= names
 
@@ -152,9 +154,9 @@ def test_nothing_is_asked_of_few_changes():
 
 def jumping(made):
     """Signals that are reported."""
-    left = beyond_chance(jumps_alone([drive_of(made)]))
-    assert {s.kind for s in left} <= {JUMPS_ALONE}
-    return {s.signal for s in left}
+    shown = beyond_chance(odd(Kind.JUMPS_ALONE, drive_of(made)))
+    assert {s.kind for s in shown} <= {Kind.JUMPS_ALONE}
+    return {s.signal for s in shown}
 
 
 def test_wrong_values_of_a_short_signal_without_levels_jump():
@@ -239,6 +241,8 @@ def test_of_noise_with_long_tails_chances_are_no_smaller_than_they_say(freedom):
     t = first["gyro"].t
     for _ in range(150):
         x = rng.standard_t(freedom, (len(t), 3))
-        asked = jumps_alone([drive_of(first | {"gyro": Series(t, LSB * np.round(x / LSB))})])
-        below += sum(q.p < 0.01 for q in asked if q.structure.signal.startswith("gyro"))
+        asked = odd(
+            Kind.JUMPS_ALONE, drive_of(first | {"gyro": Series(t, LSB * np.round(x / LSB))})
+        )
+        below += sum(q.p < 0.01 for q in asked if q.signal.startswith("gyro"))
     assert below <= 10  # of 450

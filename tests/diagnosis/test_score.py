@@ -29,7 +29,7 @@ def table(x=(0.0, 0.0, 0.0), blocks=40, rows=30, seed=0, noise=1.0, loud=None) -
         grams.append(A.T @ A)
     gram = np.array(grams)
     return Table(
-        KEYS, gram, {"accel_x": gram}, np.full(blocks, rows), 30.0 * np.arange(blocks),
+        KEYS, gram, {"accel_x": gram}, 30.0 * np.arange(blocks),
         np.zeros(blocks, dtype=int), np.ones(blocks), np.full(3, 0.1), np.zeros(3),
         np.tile([-1.0, 1.0], (3, 1)), {}, 30.0, {}, np.zeros((blocks, 2)), np.arange(blocks),
     )  # fmt: skip

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from imucald.diagnosis.equations.single_track import followed_angle, slip_delay
 from imucald.diagnosis.fit.intervals import estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import drive_of
+from imucald.drive.single_track import followed_angle, slip_delay
 from imucald.model.vehicle import Chassis
 from imucald.simulation import random_model, simulate
 

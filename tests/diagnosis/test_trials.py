@@ -62,7 +62,7 @@ def test_each_element_that_joins_others_is_one_more_question():
                         [:, :, None], X], axis=2)  # fmt: skip
     gram = np.swapaxes(A, 1, 2) @ A
     table = Table(
-        keys, gram, {"accel_x": gram}, np.full(BLOCKS, 60), 30.0 * np.arange(BLOCKS),
+        keys, gram, {"accel_x": gram}, 30.0 * np.arange(BLOCKS),
         np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), np.full(n, 0.02), np.zeros(n),
         np.tile([-1.0, 1.0], (n, 1)), {}, 30.0, {}, np.zeros((BLOCKS, 2)), np.arange(BLOCKS),
     )  # fmt: skip
@@ -103,7 +103,7 @@ def test_a_drift_is_asked_of_another_table_over_that_ones_blocks():
         gram = np.swapaxes(A, 1, 2) @ A
         one = np.ones(1)
         return Table(
-            ("accel.bias.x",), gram, {"accel_x": gram}, np.full(len(blocks), 60), 30.0 * blocks,
+            ("accel.bias.x",), gram, {"accel_x": gram}, 30.0 * blocks,
             np.zeros(len(blocks), dtype=int), np.ones(len(blocks)), 0.02 * one, 0.0 * one,
             np.array([[-1.0, 1.0]]), {}, 30.0, {}, np.zeros((len(blocks), 2)), blocks,
         )  # fmt: skip

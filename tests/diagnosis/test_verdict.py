@@ -6,10 +6,10 @@ import made_diagnosis as made
 import pytest
 
 from imucald.diagnosis.outcome import of_signal, verdict_of
-from imucald.diagnosis.result import GOES_AGAINST, NOT_PLAUSIBLE, TOO_MUCH, UNEVEN, Structure
+from imucald.diagnosis.result import Kind, Structure
 
 
-@pytest.mark.parametrize("kind", [NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST])
+@pytest.mark.parametrize("kind", [Kind.NOT_PLAUSIBLE, Kind.TOO_MUCH, Kind.GOES_AGAINST])
 def test_beside_what_the_model_cannot_be_right_of_nothing_is_found(kind):
     left = [Structure("accel_x", kind, 2.0, "")]
     assert verdict_of(made.found().causes, (), left) == "unknown"
@@ -17,7 +17,7 @@ def test_beside_what_the_model_cannot_be_right_of_nothing_is_found(kind):
 
 
 def test_what_else_is_left_leaves_a_cause_standing():
-    causes, left = made.found().causes, [Structure("accel_x", UNEVEN, 2.0, "")]
+    causes, left = made.found().causes, [Structure("accel_x", Kind.UNEVEN, 2.0, "")]
     assert verdict_of(causes, (), left) == "found"
     assert verdict_of(causes, (("a", "b"),), left) == "ambiguous"
     assert verdict_of((), (), left) == "unknown"
@@ -26,7 +26,7 @@ def test_what_else_is_left_leaves_a_cause_standing():
 
 def test_each_signal_has_a_verdict_of_its_own():
     causes = made.found().causes
-    left = [Structure("gyro", TOO_MUCH, 2.0, ""), Structure("accel_x", UNEVEN, 2.0, "")]
+    left = [Structure("gyro", Kind.TOO_MUCH, 2.0, ""), Structure("accel_x", Kind.UNEVEN, 2.0, "")]
 
     def said(name: str) -> str:
         return of_signal(name, causes, (("body_roll", "accel_scale"),), left)

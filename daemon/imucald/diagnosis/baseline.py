@@ -18,7 +18,7 @@ from imucald.config import LoadedConfig
 from imucald.core.errors import EstimateError
 from imucald.core.samples import INERTIAL, Samples
 from imucald.diagnosis.cause_keys import plausible
-from imucald.diagnosis.direct.stamps import clock_of
+from imucald.diagnosis.direct.faults import clock_of
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
 from imucald.mount.estimate import MountEstimate

@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
+from imucald.core.angles import RAD_PER_DEG as DEG
 
-DEG = float(np.pi / 180.0)
 MEMS = "consumer MEMS data sheets (BMI160, LSM6DS3, MPU-6500)"
 
 
@@ -48,8 +47,6 @@ class Cause:
     sentence: str
     separate: str
     """The manoeuvre that distinguishes the cause from similar causes."""
-    generic: bool = False
-    """True for a gain, an offset or a delay of a signal without a physical reason."""
     together: tuple[str, ...] = ()
     """Parameters that are also tested with one common value."""
     with_it: tuple[tuple[str, float], ...] = ()
@@ -269,10 +266,10 @@ CAUSES: tuple[Cause, ...] = (
           "a measured kilometre, or GNSS speed"),
     Cause("free_offset", (*_each("lateral_accel", ("offset",)),
           *_each("longitudinal_accel", ("offset",))),
-          "A signal has an offset.", "stops facing both ways", generic=True),
+          "A signal has an offset.", "stops facing both ways"),
     Cause("free_gain", (*_each("lateral_accel", ("scale",)),
           *_each("longitudinal_accel", ("scale",))),
-          "A signal has an unexplained gain error.", "hard curves and braking", generic=True),
+          "A signal has an unexplained gain error.", "hard curves and braking"),
 )  # fmt: skip
 
 BY_NAME = {cause.name: cause for cause in CAUSES}

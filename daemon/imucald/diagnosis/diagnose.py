@@ -27,50 +27,23 @@ from imucald.diagnosis.cause_keys import (
     with_shifts,
 )
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.direct.direct import Rest, rest_of
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
-from imucald.diagnosis.direct.held_values import held_values
-from imucald.diagnosis.direct.levels import coarser, holes, with_levels
-from imucald.diagnosis.direct.lost_readings import Lost, all_lost, as_structure
-from imucald.diagnosis.direct.next_samples import follows, traits_of
-from imucald.diagnosis.direct.sample_changes import (
-    CHANGES,
-    changes_missing,
-    changes_of,
-    jumps_alone,
-)
+from imucald.diagnosis.direct.levels import with_levels
+from imucald.diagnosis.direct.single_values import Lost, all_lost, as_structure
+from imucald.diagnosis.direct.stops import Rest, rest_of
 from imucald.diagnosis.direct.stuck import Fault
+from imucald.diagnosis.direct.successive import CHANGES, changes_of, follows, traits_of
 from imucald.diagnosis.doubts import doubt, unexplained
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question, beyond_chance
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.adequacy import goes_against, lines, shared, spectra_of, too_much
-from imucald.diagnosis.left_over.courses import DELAY, courses, drift_of
-from imucald.diagnosis.left_over.louder import LEAVES, left_of, more_than_stated, uneven
-from imucald.diagnosis.left_over.orders import orders
-from imucald.diagnosis.left_over.pairs import pairs
+from imucald.diagnosis.left_over.adequacy import goes_against
+from imucald.diagnosis.left_over.louder import LEAVES
+from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.left_over.table import left_over, odd_values
 from imucald.diagnosis.pictures import pictures_of
-from imucald.diagnosis.result import (
-    CHANGES_MISSING,
-    CHANGES_OTHERWISE,
-    COARSER,
-    FOLLOWS_OTHERWISE,
-    GOES_AGAINST,
-    GOES_WITH_ANOTHER,
-    JUMPS_ALONE,
-    LOUDER,
-    TOO_MUCH,
-    VALUE_HELD,
-    VALUES_MISSING,
-    WANDERS,
-    Certainty,
-    Diagnosis,
-    FoundCause,
-    Gain,
-    Structure,
-)
+from imucald.diagnosis.result import Certainty, Diagnosis, FoundCause, Gain, Kind, Structure
 from imucald.diagnosis.search.low_pass import low_passes
 from imucald.diagnosis.search.search import search
 from imucald.diagnosis.search.state import (
@@ -90,10 +63,11 @@ LEAST_LIMIT_S = 10.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
-UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
+UNBELIEVED = (Kind.GOES_AGAINST, Kind.TOO_MUCH)
 """Kinds of left-over structure with which no fit is trusted."""
 NOT_AS_STATED = (
-    LOUDER, COARSER, VALUES_MISSING, CHANGES_OTHERWISE, JUMPS_ALONE, FOLLOWS_OTHERWISE,
+    Kind.LOUDER, Kind.COARSER, Kind.VALUES_MISSING, Kind.CHANGES_OTHERWISE, Kind.JUMPS_ALONE,
+    Kind.FOLLOWS_OTHERWISE,
 )  # fmt: skip
 """Kinds of left-over structure with which the model file's statements about its own drives are not
 updated."""
@@ -101,9 +75,9 @@ READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are found from the sequence of a signal's values."""
 ONE_SENSOR = ("accel", "gyro")
 """Signals that come from one sensor, over one connection."""
-MOVES = (WANDERS, GOES_WITH_ANOTHER)
+MOVES = (Kind.WANDERS, Kind.GOES_WITH_ANOTHER)
 """Kinds of structure in which a zero error changes during the drive."""
-BETWEEN = (FOLLOWS_OTHERWISE, VALUES_MISSING, CHANGES_MISSING, JUMPS_ALONE)
+BETWEEN = (Kind.FOLLOWS_OTHERWISE, Kind.VALUES_MISSING, Kind.CHANGES_MISSING, Kind.JUMPS_ALONE)
 """Kinds of structure in raw values that arise between sensor and log."""
 HALF = 0.5
 """Smallest ratio of a written half width (`known_to`) to the tolerance. A drive has only one
@@ -143,9 +117,8 @@ def diagnose(
     if wrong:
         state.leave_out(unexplained(wrong), ())
     search(state, tick, late, GYRO_BIAS if rest else ())
-    report(0.8, "what is left")
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *(wrong or _left(state)))
+    left = (*gone.values(), *odd, *(wrong or left_over(state, partial(report, 0.8))))
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
@@ -154,7 +127,7 @@ def diagnose(
     changes = written != state.stated or state.stated != model
     problem = state.evaluated()
     if not any(s.kind in (*UNBELIEVED, *NOT_AS_STATED) for s in left):
-        written = LEAVES.written(written, left_of(problem, state))
+        written = LEAVES.written(written, Remains(problem, state).by_band)
         written = CHANGES.written(with_levels(written, parts), changes_of(parts, state.model))
         written = follows(parts, written).written(written, traits_of(parts))
     whole = state.whole or problem.table
@@ -228,7 +201,8 @@ def _begun(
     lost = [all_lost(samples) for samples in drives]
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
-    odd = _odd(_signals(drives, faults, lost, held=True), model)
+    held = _signals(drives, faults, lost, held=True)
+    odd = odd_values(held, model, partial(report, 0.05))
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
@@ -255,20 +229,6 @@ def _signals(
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 
-def _odd(parts: Sequence[DriveSignals], model: VehicleModel) -> list[Structure]:
-    """Return structure in raw values that no healthy signal shows. Faults are not included. These
-    tests need no fit and have their own false-discovery rate."""
-    return beyond_chance(
-        [
-            *coarser(parts, model),
-            *holes(parts),
-            *changes_missing(parts),
-            *jumps_alone(parts),
-            *(follows(parts, model).asked(traits_of(parts), model) if model.leaves else ()),
-        ]
-    )
-
-
 def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
     """True if another structure in the same signal may explain a fault. Values at the end of a
     range, constant values and repeated frames are found from the sequence of samples. Such a fault
@@ -289,44 +249,6 @@ def _is_recommended(
     if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
     return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
-
-
-def _left(state: State) -> tuple[Structure, ...]:
-    """Return the structure that no cause explains."""
-    problem = state.evaluated()
-    drift = drift_of(problem, state)
-    spectra = spectra_of(problem, state.forwards)
-    asked = [
-        *pairs(problem, state, drift),
-        *orders(problem, state),
-        *lines(state, spectra),
-        *courses(problem, state, drift),
-        *_beside_stated(problem, state),
-    ]
-    of_clocks = [q for q in asked if q.structure.parameter == DELAY]
-    return (
-        *too_much(problem, state),
-        *uneven(problem, drift),
-        *outcome.implausible(state),
-        *held_values(state.drives),
-        *beyond_chance([q for q in asked if q not in of_clocks]),
-        # Stamps that leave their cycle need an explanation: an error rate of their own.
-        *beyond_chance(of_clocks),
-        *shared(spectra, state.forwards),
-    )
-
-
-def _beside_stated(problem: Problem, state: State) -> list[Question]:
-    """Return the tests that compare these drives with the drives of the model file."""
-    stated = state.stated
-    if not stated.leaves:
-        return []
-    left = left_of(problem, state)
-    return [
-        *LEAVES.asked(left, stated),
-        *more_than_stated(left, stated),
-        *CHANGES.asked(changes_of(state.drives, state.model), stated),
-    ]
 
 
 def _silent(share: float, text: str) -> None:
@@ -379,7 +301,7 @@ def _shows_zero(left: Sequence[Structure]) -> bool:
     """True if the gyroscope's mean at stops is its zero error in the whole drive. False if the
     sensor may show this mean for all small rates, or if the zero error changes during the drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
-    return not any(s.kind in (VALUE_HELD, *MOVES) for s in gyro)
+    return not any(s.kind in (Kind.VALUE_HELD, *MOVES) for s in gyro)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:

@@ -12,25 +12,15 @@ from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import SENSED, TAKES, TILTED, Table
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
-from imucald.diagnosis.result import (
-    CHANGES_OTHERWISE,
-    COARSER,
-    FOLLOWS_OTHERWISE,
-    GOES_WITH_ANOTHER,
-    LOUDER,
-    NOT_PLAUSIBLE,
-    TOO_MUCH,
-    WANDERS,
-    Structure,
-)
-from imucald.diagnosis.search.standing import leave_out, unsettle
+from imucald.diagnosis.result import Kind, Structure
+from imucald.diagnosis.search.search import leave_out, unsettle
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import Trial
 
-BESIDE = (NOT_PLAUSIBLE, WANDERS, LOUDER, COARSER, CHANGES_OTHERWISE)
+BESIDE = (Kind.NOT_PLAUSIBLE, Kind.WANDERS, Kind.LOUDER, Kind.COARSER, Kind.CHANGES_OTHERWISE)
 """Kinds of structure that change no fitted value. If a drive has only such structure, the causes
 that a fit has named stay named."""
-NO_STEP = (GOES_WITH_ANOTHER, FOLLOWS_OTHERWISE, TOO_MUCH)
+NO_STEP = (Kind.GOES_WITH_ANOTHER, Kind.FOLLOWS_OTHERWISE, Kind.TOO_MUCH)
 """Kinds of structure that a rotated sensor does not cause. A rotation by 10 deg makes zero errors
 and gains seem to wander, because the fit follows a rotation only to first order and to the nearest
 segment."""
@@ -53,7 +43,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
     # A cause is missing there, and fitted gains and zeros absorb its effect. A delay still shows in
     # the timing.
-    impossible = [s for s in left if s.kind == NOT_PLAUSIBLE]
+    impossible = [s for s in left if s.kind == Kind.NOT_PLAUSIBLE]
     shifted |= {name for s in impossible for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}

@@ -13,8 +13,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import TILTED, Table
-from imucald.diagnosis.fit.box import box_fit
-from imucald.diagnosis.fit.score import Problem, folds, losses
+from imucald.diagnosis.fit.score import Problem, fitted, folds, losses
 from imucald.diagnosis.result import Gain, SignalGain
 
 Z95 = 1.959964
@@ -27,20 +26,11 @@ def found_by_fold(problem: Problem, free: Sequence[str]) -> Array:
     without the fold of the block."""
     table = problem.table
     index = table.index([k for k in free if k in table.keys])
-    total = table.gram.sum(axis=0)
-    fold = folds(table.blocks)
     made = np.zeros((table.blocks, len(table.keys)))
-    if not index:
-        return made
-    for k in range(int(fold.max()) + 1):
-        rest = total - table.gram[fold == k].sum(axis=0)
-        x = box_fit(rest[1:, 1:], rest[1:, 0], problem.low, problem.high)
-        made[np.ix_(fold == k, index)] = x[index]
+    for out in folds(table.blocks) if index else ():
+        x = fitted(table.gram[~out], problem.low, problem.high)
+        made[np.ix_(np.flatnonzero(out), np.array(index))] = x[index]
     return made
-
-
-def _fold_losses(table: Table, x: Array) -> Array:
-    return np.array([losses(table.gram[b : b + 1], x[b])[0] for b in range(table.blocks)])
 
 
 def gain_of(
@@ -76,7 +66,7 @@ def gain_of(
         return summed(held_out, worse), signals
     if not free or before.blocks != table.blocks:
         return Gain(0.0, (0.0, 0.0), tuple(worse if was_fitted else ()), was_fitted), signals
-    d = _weighted_losses(before, table) - _fold_losses(table, x)
+    d = _weighted_losses(before, table) - losses(table.gram, x)
     return summed(d, worse), signals
 
 
@@ -103,8 +93,7 @@ def _weighted_losses(before: Table, after: Table) -> Array:
 def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
     """True if the residual of an equation is larger with the written file: by two standard errors
     of the difference over blocks, and by more than 1 %."""
-    z = np.concatenate([np.ones((after.blocks, 1)), -x], axis=1)
-    new = np.einsum("bi,bkij,bj->b", z, after.plain[name], z)
+    new = 2.0 * losses(after.plain[name].sum(axis=1), x)
     old = before.plain[name][:, :, 0, 0].sum(axis=1)
     if len(new) != len(old):
         return False

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucald.core.angles import DEG_PER_RAD
 from imucald.core.text import counted
 from imucald.diagnosis.cause_keys import (
     BUTTERWORTH_S_HZ,
@@ -18,19 +19,17 @@ from imucald.diagnosis.cause_keys import (
     value,
 )
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
-from imucald.diagnosis.direct.direct import Rest
+from imucald.diagnosis.direct.stops import Rest
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
 from imucald.diagnosis.result import (
     EQUALLY_WELL,
-    GOES_AGAINST,
-    NOT_PLAUSIBLE,
     OTHERWISE,
-    TOO_MUCH,
     Candidate,
     Certainty,
     Estimated,
     FoundCause,
+    Kind,
     Outcome,
     Structure,
     Verdict,
@@ -41,12 +40,11 @@ from imucald.diagnosis.search.trials import LEVELLED, SINGLE_NATS, Trial, questi
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-MISSING = (NOT_PLAUSIBLE, TOO_MUCH, GOES_AGAINST)
+MISSING = (Kind.NOT_PLAUSIBLE, Kind.TOO_MUCH, Kind.GOES_AGAINST)
 """Kinds of structure that contradict the model: a cause is missing, with or without direct
 evidence."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
-DEG = 180.0 / math.pi
 
 
 def cause_of_trial(
@@ -219,7 +217,9 @@ def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
 def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     """Return the cause for a rotation of the sensor in the middle of a drive."""
     parameters = {
-        f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
+        f"mount.shifts.{angle}_deg": Estimated(
+            float(x) * DEG_PER_RAD, float(se) * DEG_PER_RAD, "deg", 0.0, 0.3
+        )
         for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
     }
     parameters["mount.shifts.t_s"] = Estimated(
@@ -273,7 +273,7 @@ def other_candidates(state: State) -> tuple[Candidate, ...]:
     if state.doubtful_shift is not None and state.table is not None:
         shift = state.doubtful_shift
         cause = cause_of_shift(shift, state.table)
-        turn = ", ".join(f"{_n(float(x) * DEG)} +- {_n(SD_95 * float(se) * DEG)}"
+        turn = ", ".join(f"{_n(float(x) * DEG_PER_RAD)} +- {_n(SD_95 * float(se) * DEG_PER_RAD)}"
                          for x, se in zip(shift.turn, shift.se, strict=True))  # fmt: skip
         text = f"turned by ({turn}) deg about the vehicle's axes{OTHERWISE}"
         made.append(Candidate(cause.name, "not ruled out", shift.shown, text, cause.parameters))
@@ -321,7 +321,7 @@ def implausible(state: State) -> tuple[Structure, ...]:
             f"but {'may be more than is' if t.is_plausible else 'is not'} physically plausible "
             f"({low:.3g} to {high:.3g} is): a cause is missing"
         )
-        made.append(Structure(signal, NOT_PLAUSIBLE, float(t.estimate.quantile), text))
+        made.append(Structure(signal, Kind.NOT_PLAUSIBLE, float(t.estimate.quantile), text))
     return tuple(made)
 
 

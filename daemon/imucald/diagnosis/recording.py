@@ -12,15 +12,13 @@ from msgspec.structs import replace
 
 from imucald.can.logs.log_reader import LogReader, Progress
 from imucald.config import LoadedConfig
-from imucald.core.arrays import Array
 from imucald.core.errors import LogError
 from imucald.core.samples import QUANTITIES, Samples, Series
-from imucald.inputs.column_samples import Routed
 from imucald.inputs.quantities import wanted_numbers
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.wiring import compile_router
-from imucald.runtime.timebase import TimeBase, TimeSegment
+from imucald.runtime.timebase import TimeBase
 
 TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 """Keys of the configuration that may name several sensors, each with axes of its own."""
@@ -52,9 +50,6 @@ class Recording:
     cycle_s: Mapping[str, float] = field(default_factory=dict)
     """Cycle time of the message, by channel [s], as the database states it; absent if the database
     has no cycle time."""
-    planar: bool = False
-    """True if the accelerometer has no z axis. The third value of such an accelerometer is declared
-    as one g."""
     problems: tuple[str, ...] = ()
     """The first bad lines, as texts with file and line number."""
 
@@ -75,25 +70,26 @@ def read_samples(
     """
     router = _first_sensors(loaded)
     reader = LogReader(paths, router.matches, strict, progress)
-    timebase = TimeBase()
-    kept = _Kept()
+    timebase, gaps, kept = TimeBase(), list[float](), dict[str, list[Series]]()
     for chunk in reader:
         for segment in timebase.segments(chunk.t):
+            if segment.gap:
+                gaps.append(float(segment.t[0]))
             whole = segment.stop - segment.start == len(chunk)
             frames = chunk if whole else chunk.take(slice(segment.start, segment.stop))
-            kept.add_segment(router.columns(segment.t, frames), segment)
+            for channel, series in router.columns(segment.t, frames).samples.items():
+                kept.setdefault(channel, []).append(series)
     _refuse_empty(paths, reader, router)
     rejected = Counter(reader.rejected)
     rejected.update(router.rejected)
     return Recording(
         name=Path(paths[0]).name,
-        samples=kept.samples(),
+        samples={name: _joined(kept.pop(name)) for name in QUANTITIES if name in kept},
         duration_s=timebase.now,
         frames_read=reader.frames_read,
         rejected=dict(sorted(rejected.items())),
-        gaps=tuple(kept.gaps),
+        gaps=tuple(gaps),
         cycle_s=_cycles(router.routes, router.channels),
-        planar=loaded.config.signals.accelerometer[0].z is None,
         problems=tuple(reader.problems),
     )
 
@@ -113,31 +109,8 @@ def is_same_recording(one: Recording, other: Recording) -> bool:
     return int(np.count_nonzero(changes)) >= SAME_CHANGES
 
 
-class _Kept:
-    """Collects the samples of all chunks until the end of the log."""
-
-    def __init__(self) -> None:
-        self.gaps: list[float] = []
-        self._t: dict[str, list[Array]] = {}
-        self._values: dict[str, list[Array]] = {}
-
-    def add_segment(self, routed: Routed, segment: TimeSegment) -> None:
-        """Take the samples of a time segment."""
-        if segment.gap:
-            self.gaps.append(float(segment.t[0]))
-        for channel, series in routed.samples.items():
-            self._t.setdefault(channel, []).append(series.t)
-            self._values.setdefault(channel, []).append(series.values)
-
-    def samples(self) -> Samples:
-        """Return all samples, in the documented order of the channels."""
-        return {
-            channel: Series(
-                np.concatenate(self._t.pop(channel)), np.concatenate(self._values.pop(channel))
-            )
-            for channel in QUANTITIES
-            if channel in self._t
-        }
+def _joined(parts: Sequence[Series]) -> Series:
+    return Series(np.concatenate([s.t for s in parts]), np.concatenate([s.values for s in parts]))
 
 
 def _first_sensors(loaded: LoadedConfig) -> Router:

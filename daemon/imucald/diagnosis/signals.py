@@ -18,11 +18,12 @@ from scipy.stats import binom
 from imucald.core.arrays import Array, true_runs
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples, Series
+from imucald.motion.ticks import TICK_S
 
 Mask = NDArray[np.bool_]
 Spans = tuple[tuple[float, float], ...]
 
-STEP_S = 0.1
+STEP_S = TICK_S
 """Step of the grid [s]. The motion of a vehicle is below 2 Hz."""
 GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35
@@ -32,9 +33,11 @@ BESIDE = 10
 """Number of samples before and after a sample from which the local share of repeated values is
 computed."""
 CHANCE = 0.01
-"""Chance of a wrong decision about a sensor with many repeated values: that its early frames are
-duplicates."""
+"""Chance of a false finding of one test in one drive without errors. A test of several signals,
+axes or bands divides this chance among them."""
 STANDING_MPS = 0.05
+DRIVING_MPS = 2.0
+"""Speed above which a vehicle is surely driving, whatever its speed sensor's dead band."""
 FASTEST_REST_RADPS = np.radians(0.3)
 """Largest rms of a gyroscope about its mean at rest [rad/s]. An idling engine causes a smaller
 rms."""
@@ -226,12 +229,8 @@ def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveS
         )
     t = np.asarray(start + STEP_S * np.arange(int((stop - start) / STEP_S)))
     knots = _knots(channels, t)
-    accel = channels["accel"].values
-    return DriveSignals(t, channels, knots, _stops(channels, knots, t), _is_planar(accel))
-
-
-def _is_planar(accel: Array) -> bool:
-    return bool(np.ptp(accel[:, 2]) == 0.0)
+    planar = bool(np.ptp(channels["accel"].values[:, 2]) == 0.0)
+    return DriveSignals(t, channels, knots, _stops(channels, knots, t), planar)
 
 
 def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:

@@ -10,15 +10,13 @@ from typing import NamedTuple
 from imucald.diagnosis.causes import BY_NAME
 from imucald.diagnosis.result import (
     EQUALLY_WELL,
-    GOES_AGAINST,
-    NOT_PLAUSIBLE,
     OTHERWISE,
-    TOO_MUCH,
     Candidate,
     Diagnosis,
     Estimated,
     FoundCause,
     Gain,
+    Kind,
     SignalGain,
     Structure,
 )
@@ -209,15 +207,15 @@ def verdict(diagnosis: Diagnosis) -> Words:
 def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     where = _where(diagnosis)
     kinds = {s.kind for s in diagnosis.structure}
-    if GOES_AGAINST in kinds:
+    if Kind.GOES_AGAINST in kinds:
         return Words(
             f"Unknown: opposite sign to the model's prediction in {where}",
             "A sign in the configuration or the mount in the model file is wrong: 'imucald "
             "check' looks for wrong signs. No parameter was fitted to these signals.",
         )
     text = "The measured signals differ from the model in a way that no known cause explains."
-    if NOT_PLAUSIBLE in kinds:
-        first = next(s for s in diagnosis.structure if s.kind == NOT_PLAUSIBLE)
+    if Kind.NOT_PLAUSIBLE in kinds:
+        first = next(s for s in diagnosis.structure if s.kind == Kind.NOT_PLAUSIBLE)
         text = typographic(f"{first.text[:1].upper()}{first.text[1:]}.")
     headline = f"Unknown: the model does not explain {where}" if where else "Unknown"
     if titles:
@@ -239,7 +237,7 @@ def _advice(diagnosis: Diagnosis) -> str:
         return f" The extended model file is for prediction only: it contains {why}."
     if diagnosis.recommended:
         return " The extended model file predicts better on data that its fit did not see: use it."
-    if {s.kind for s in diagnosis.structure} & {GOES_AGAINST, TOO_MUCH}:
+    if {s.kind for s in diagnosis.structure} & {Kind.GOES_AGAINST, Kind.TOO_MUCH}:
         return (
             " The extended model file is not recommended: the model does not explain "
             f"{_where(diagnosis)}."

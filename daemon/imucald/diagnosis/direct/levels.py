@@ -21,8 +21,7 @@ from imucald.core.arrays import Array
 from imucald.core.samples import QUANTITIES
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.beside_file import short, six, with_entries
-from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.result import COARSER, VALUES_MISSING, Structure
+from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.signals import Channel, DriveSignals, Mask
 from imucald.model.leaves import GAP_QUANTILES, Leaves
 from imucald.model.model import VehicleModel
@@ -132,28 +131,17 @@ def is_one_grid(levels: Array, step: float) -> bool:
 # against the file --------------------------------------------------------------------------------
 
 
-def coarser(drives: Sequence[DriveSignals], stated: VehicleModel) -> list[Question]:
-    """Test whether signals have coarser steps than in the drives of the model file, or are 0 up to
-    a higher value."""
-    asked: list[Question] = []
-    for drive in drives:
-        for signal in signals_of(drive):
-            file = stated.leaves.get(f"levels of {signal.channel}")
-            if file is not None:
-                asked += _in_steps(signal, file.rms[0], file.spread[0])
-                if signal.channel in OF_WHEELS:
-                    asked += _from_zero(signal, file.speeds_mps[0])
-    return asked
-
-
-def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question]:
-    """Test one signal for coarser steps.
+def coarser(signal: Numbers, stated: VehicleModel) -> Iterator[Answer]:
+    """Test one signal for coarser steps than in the drives of the model file.
 
     At most a tenth of the gaps between occurring levels are narrower than the new step. If the same
     number of levels were on the finer grid of the model file, far more gaps would be narrower."""
-    levels = levels_of(signal.values)
-    step = step_of(levels)
-    if lsb == 0.0 or step <= GAIN * (lsb + known_to):
+    file = stated.leaves.get(f"levels of {signal.channel}")
+    if file is None or file.rms[0] == 0.0:
+        return
+    levels, lsb = levels_of(signal.values), file.rms[0]
+    step, least = step_of(levels), GAIN * (lsb + file.spread[0])
+    if step <= least:
         return
     ratio = step / lsb
     gaps = np.diff(levels)
@@ -167,17 +155,21 @@ def _in_steps(signal: Numbers, lsb: float, known_to: float) -> Iterator[Question
         f"in the drives of the model file ({lsb:.3g}). The model file does not contain the "
         f"rounding error of {step / 12**0.5:.2g} {signal.unit}"
     )
-    yield Question(p, True, Structure(signal.name, COARSER, ratio, text))
+    yield Answer(signal.name, step, least, p, text, shown=ratio)
 
 
-def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
-    """Test one signal for a range next to 0 that it never shows.
+def dead_band(signal: Numbers, stated: VehicleModel) -> Iterator[Answer]:
+    """Test one speed for a range next to 0 that it never shows, but shows in the drives of the
+    model file.
 
     The test uses the values next to 0, each time that the signal leaves or reaches 0. For uniformly
     distributed values, the chance that n values are between the smallest value and twice the
     smallest value is 2^-n. The chance does not depend on the rate (first event of a Poisson
     process: the integral of e^-u P(N >= n | u))."""
-    x = np.abs(signal.values)
+    file = stated.leaves.get(f"levels of {signal.channel}")
+    if file is None or signal.channel not in OF_WHEELS:
+        return
+    x, dead = np.abs(signal.values), file.speeds_mps[0]
     low, high = np.minimum(x[1:], x[:-1]), np.maximum(x[1:], x[:-1])
     beside = high[(low == 0.0) & (high > 0.0) & signal.is_next]
     if not len(beside):
@@ -188,21 +180,15 @@ def _from_zero(signal: Numbers, dead: float) -> Iterator[Question]:
         f"it shows 0 up to {least:.2g} m/s; in the drives of the model file it shows 0 up to "
         f"{dead:.2g} m/s. It left or reached 0 {len(beside)} times, and never at a lower speed"
     )
-    is_large = least > 2.0 * dead and least - dead > OBD_STEP
-    structure = Structure(signal.name, VALUES_MISSING, least / max(dead, 1e-3), text)
-    yield Question(0.5**many, is_large, structure)
+    limit, shown = max(2.0 * dead, dead + OBD_STEP), least / max(dead, 1e-3)
+    yield Answer(signal.name, least, limit, 0.5**many, text, shown=shown)
 
 
 # without a file ----------------------------------------------------------------------------------
 
 
-def holes(drives: Sequence[DriveSignals]) -> list[Question]:
-    """Test whether signals jump over a range that they never show."""
-    return [q for drive in drives for signal in signals_of(drive) for q in _hole(signal)]
-
-
-def _hole(signal: Numbers) -> Iterator[Question]:
-    """Test the hole that the signal jumps over most often.
+def hole(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
+    """Test the hole that the signal jumps over most often, without ever showing a value in it.
 
     A large change from sample to sample is rarer than a small change. Consider a start value that
     is at most one hole width below a hole. From this value, a change into the hole is at least as
@@ -240,7 +226,7 @@ def _hole(signal: Numbers) -> Iterator[Question]:
         f"{signal.unit}, and never shows a value inside it"
     )
     p = min(1.0, len(wide) * 0.5**jumps)
-    yield Question(p, True, Structure(signal.name, VALUES_MISSING, float(jumps), text))
+    yield Answer(signal.name, best[1] - best[0], least, p, text, shown=float(jumps))
 
 
 # writing -----------------------------------------------------------------------------------------

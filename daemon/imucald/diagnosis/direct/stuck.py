@@ -1,6 +1,20 @@
 """Find slow signals that are stuck: frames are received, but their value does not change.
 
-`motion.recorded_health` tests sensors, whose values always change because of noise.
+`motion.recorded_health` tests sensors, whose values always change because of noise. A slow signal
+is stuck if it stays at one value longer than it normally does, ends this stay with a large change,
+and contradicts the inertial sensors.
+
+A stay is a run of equal values. At constant speed, a signal stays at a value longer than in town,
+so the lengths of its stays have a heavier tail than a geometric distribution. The model of a stay
+therefore has a probability of going on that is drawn from a beta distribution, once for each stay.
+The lengths then have a beta-geometric distribution (Waring's distribution; Weinberg and Gladen
+1986) with a tail n^-b. The distribution is nearly geometric if the log shows no heavier tail.
+
+The speed is predicted from accelerometer and gyroscope. The residual contains noise and the effect
+of the road, and its size is about the same throughout a drive. If the speed signal repeats an old
+value, the residual is as large as the hidden change of speed. The mount is not known here, so the
+relation between the speed and the three axes is fitted to the drive, with the rotation of gravity
+from the gyroscope.
 """
 
 from __future__ import annotations
@@ -11,31 +25,171 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaln
+from scipy.stats import chi2
+from scipy.stats import t as student
 
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, Samples, Series
 from imucald.core.text import counted
-from imucald.diagnosis.direct.held_speed import chances_of_sensors
-from imucald.diagnosis.direct.own_stays import (
-    FEW_STAYS,
-    chance_of_any,
-    chance_of_change,
-    number_as_long,
-)
-from imucald.diagnosis.signals import Spans
+from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, Channel, Spans
 
 Index = NDArray[np.intp]
-MOVING_MPS = 2.0
+FEW_STAYS = 20
+"""Smallest number of stays for which the tail is also estimated from the longest stays."""
+LONGEST = 0.1
+"""Share of the longest stays for a separate estimate of the tail (peaks over a threshold, Pickands
+1975)."""
+_GRID = (np.arange(40) + 0.5) / 40.0
+_GOES_ON, _ONE_OVER_B = np.meshgrid(_GRID, _GRID, indexing="ij")
+_B = 1.0 / _ONE_OVER_B
+"""Values of b. b is above 1, so that the mean length of a stay is finite. The prior is uniform in
+1/b and in the mean probability a/(a + b)."""
+_A = _GOES_ON / (1.0 - _GOES_ON) * _B
+STEP_S = 0.2
+LEAST_WINDOWS = 8
+"""Smallest number of windows of the same length with which an interval is compared."""
+APART = 4
+"""Divisor of the window length: if a window contains a stop, the next window begins 1/APART of a
+length later."""
 STUCK = "stuck_signal"
 STUCK_S, STUCK_RUNS = 8.0, 4.0
 """Shortest time [s] that counts as stuck for a signal that may keep its value. The time must also
-be STUCK_RUNS times the usual stay, or too long for chance (`own_stays`)."""
+be STUCK_RUNS times the usual stay, or too long for chance (`number_as_long`)."""
 FEW_OTHERS = 3
-CHANCE = 0.01
-"""Chance of a false finding for each slow signal of a drive without faults."""
 PARTNER_SHARE = 0.5
 """Smallest ratio of a related signal's spread during a stay to its usual spread, at which the slow
 signal counts as stuck."""
+
+
+def number_as_long(own: Index, length: int) -> float:
+    """Return the expected number of a drive's stays that last at least this long. The result is the
+    larger of two estimates: one from all stays, the other from the longest stays.
+
+    own: (M,) lengths [steps, >= 1] of all stays of this drive except the tested stay. length:
+    length of the tested stay [steps]. Without other stays the result is 1, because a filter that
+    settles for the first time may stay for any time.
+    """
+    if not len(own):
+        return 1.0
+    ends = [1]
+    if len(own) > FEW_STAYS:
+        ends.append(int(np.sort(own)[-max(FEW_STAYS, round(LONGEST * len(own)))]))
+    return max(_beyond(own[own >= end] - end, max(length - end, 0)) for end in ends)
+
+
+def _beyond(more: Index, length: int) -> float:
+    """Return the expected number as in `number_as_long`, for the part of the stays beyond a
+    threshold, from the posterior of a and b.
+
+    P(L >= n) = B(a + n, b)/B(a, b), P(L = n) = B(a + n, b + 1)/B(a, b).
+    """
+    logs = np.zeros_like(_A)
+    for n, count in zip(*np.unique(more, return_counts=True), strict=True):
+        logs += count * (betaln(_A + n, _B + 1.0) - betaln(_A, _B))
+    weights = np.exp(logs - logs.max())
+    tail = np.exp(betaln(_A + length, _B) - betaln(_A, _B))
+    return float(np.average(tail, weights=weights)) * (len(more) + 1)
+
+
+def chance_of_change(own: Array, change: float) -> float:
+    """Return the chance of a change at least as large as the change that ends a stay, by its rank.
+    own: (M,) other changes."""
+    return float((1 + (own >= change).sum()) / (len(own) + 1))
+
+
+def chance_of_any(product: float, count: int, asked: int) -> float:
+    """Return the chance that any of the tested stays has such a small product of the expected
+    number and the other chances.
+
+    count: number of factors. The first factor is `asked` times the chance of the stay's length. The
+    chances are combined as independent chances (Fisher 1925) and corrected for the number of tested
+    stays.
+    """
+    logs = -2.0 * np.log(max(product / asked, 1e-300))
+    return min(1.0, asked * float(chi2.sf(logs, 2 * count)))
+
+
+def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
+    """Return the chance (S,) of the sensors' signals in each interval of constant speed, assuming
+    that the true speed is constant. NaN if the sensors do not cover an interval.
+
+    The logarithm of the interval's residual is compared with the residuals of windows of the same
+    length in motion (Student's t distribution of one further value). No window contains part of
+    another interval.
+    """
+    made = np.full(len(spans), np.nan)
+    if not spans or "accel" not in samples:
+        return made
+    t, signals = _signals(samples)
+    for k, (low, high) in enumerate(spans):
+        n = round((high - low) / STEP_S)
+        first = int(np.searchsorted(t, low))
+        if not len(t) or low < t[0] - STEP_S or first + n > len(t):
+            continue
+        starts = _windows(t, signals[:, 0], n, spans)
+        if len(starts) < LEAST_WINDOWS or n < 2 * signals.shape[1]:
+            continue
+        windows = np.array([_detrended(signals[i : i + n]) for i in starts])
+        own = _detrended(signals[first : first + n])
+        left = _left(windows, own[None])
+        usual, here = np.log(left[:-1]), float(np.log(left[-1]))
+        spread = float(np.std(usual, ddof=1)) * np.sqrt(1.0 + 1.0 / len(usual))
+        made[k] = student.sf((here - usual.mean()) / max(spread, 1e-12), len(usual) - 1)
+    return made
+
+
+def _signals(samples: Samples) -> tuple[Array, Array]:
+    """Return the time grid (N,), and on this grid the speed and its regressors (N, 1 + 3 or 6). The
+    regressors are the integral of the force, and the double integral of the angular rate for the
+    rotation of gravity."""
+    speed, accel = samples["speed"], samples["accel"]
+    t = np.arange(max(speed.t[0], accel.t[0]), min(speed.t[-1], accel.t[-1]), STEP_S)
+    columns = [np.interp(t, speed.t, speed.values)[:, None]]
+    columns.append(_integral(Channel.from_series(accel).means(t, STEP_S)))
+    if "gyro" in samples:
+        rate = Channel.from_series(samples["gyro"]).means(t, STEP_S)
+        columns.append(_integral(_integral(rate)))
+    return t, np.concatenate(columns, axis=1)
+
+
+def _integral(x: Array) -> Array:
+    area = np.cumsum(0.5 * (x[1:] + x[:-1]), axis=0) * STEP_S
+    return np.concatenate([np.zeros_like(x[:1]), area])
+
+
+def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
+    """Return the first rows of consecutive windows of n rows in motion. No window contains part of
+    an interval."""
+    good = v > DRIVING_MPS
+    for low, high in spans:
+        good &= (t < low) | (t > high)
+    bad = np.concatenate([[0], np.cumsum(~good)])
+    starts, i = [], 0
+    while i + n <= len(t):
+        is_clear = bad[i + n] == bad[i]
+        if is_clear:
+            starts.append(i)
+        i += n if is_clear else max(n // APART, 1)
+    return starts
+
+
+def _detrended(rows: Array) -> Array:
+    """Return the rows without mean and slope. Mean and slope contain the start value, and the
+    effects of a zero error and of a constant road slope."""
+    line = np.column_stack([np.ones(len(rows)), np.linspace(-1.0, 1.0, len(rows))])
+    return np.asarray(rows - line @ np.linalg.lstsq(line, rows, rcond=None)[0])
+
+
+def _left(windows: Array, own: Array) -> Array:
+    """Return the rms residual (W + 1,) of the speed. The regression is fitted to the windows (W, n,
+    P). The last residual belongs to the tested interval."""
+    gram = np.einsum("wni,wnj->ij", windows, windows)
+    ridge = 1e-9 * np.diag(np.diag(gram)[1:]) + 1e-30 * np.eye(len(gram) - 1)
+    b = np.linalg.solve(gram[1:, 1:] + ridge, gram[1:, 0])
+    rows = np.concatenate([windows, own])
+    left = rows[:, :, 0] - rows[:, :, 1:] @ b
+    return np.asarray(np.maximum(np.sqrt(np.mean(left**2, axis=1)), 1e-9))
 
 
 @dataclass(frozen=True)
@@ -78,7 +232,7 @@ def stuck(
     # Missing frames are another fault.
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
     # Only time in motion counts; a long interval may contain stops.
-    steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
+    steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > DRIVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
     usual = _usual(length)

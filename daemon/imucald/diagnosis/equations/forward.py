@@ -17,11 +17,11 @@ from scipy.fft import dct
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY, QUANTITIES
 from imucald.diagnosis.cause_keys import Changes, age
-from imucald.diagnosis.equations.kinematics import slope
 from imucald.diagnosis.equations.motion import NONE, VehicleMotion
 from imucald.diagnosis.equations.reading import Reader
-from imucald.diagnosis.equations.single_track import SLOW_MPS
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
+from imucald.drive.equations import slope
+from imucald.drive.single_track import SLOW_MPS
 
 STOPPING_MPS2 = 3.4
 """Deceleration that most drivers do not exceed [m/s^2] (AASHTO, Green Book: stopping sight

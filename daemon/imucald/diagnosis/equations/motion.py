@@ -21,12 +21,12 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
-from imucald.diagnosis.equations import kinematics
-from imucald.diagnosis.equations.kinematics import Axes
-from imucald.diagnosis.equations.once import Once
-from imucald.diagnosis.equations.reading import Reader, Reference
-from imucald.diagnosis.equations.single_track import SLOW_MPS, Complex, followed_angle
+from imucald.diagnosis.equations.reading import Once, Reader, Reference, column
 from imucald.diagnosis.signals import STEP_S
+from imucald.drive import equations as eq
+from imucald.drive import single_track as tyres
+from imucald.drive.equations import Axes, Complex
+from imucald.drive.single_track import SLOW_MPS
 from imucald.model.vehicle import Chassis
 
 NONE: Mapping[str, Array] = {}
@@ -49,7 +49,7 @@ class VehicleMotion:
         self.knots = once(reader.knots_at, late, rate)
         scale = model.speed.scale + changes.get("speed.scale", 0.0)
         driven = changes.get("_speed.driven_slip", 0.0)
-        self.v = once(kinematics.speed, reader.t, self.knots, drive.knots.values, scale)
+        self.v = once(eq.speed, reader.t, self.knots, drive.knots.values, scale)
         self.settled = reference = reader.reference if by_inertia else None
         self.is_column = reference is not None or bool(added)
         self.force = reader.triad("accel", changes, reference.force if reference else None)
@@ -72,7 +72,7 @@ class VehicleMotion:
             if reference is not None:
                 lever -= np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
             if lever.any():
-                x, y, z = once(kinematics.of_lever, *self.rate, tuple(lever))
+                x, y, z = once(_of_lever, *self.rate, tuple(lever))
                 forward, left, upward = self.force
                 self.force = self._apart(forward, x), self._apart(left, y), self._apart(upward, z)
         elif drive.has("yaw_rate"):
@@ -80,14 +80,14 @@ class VehicleMotion:
         else:
             self.r = once(np.zeros, len(reader.t))
         kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
-        self.v_y = once(kinematics.sideways, self.v, self.r, reader.t, kappa, model.chassis)
-        slopes = once(kinematics.mean_slope, drive.knots.values, reader.knots)
+        self.v_y = once(tyres.sideways, self.v, self.r, reader.t, kappa, model.chassis)
+        slopes = once(eq.mean_slope, drive.knots.values, reader.knots)
         if reference is not None:
             slopes = reference.slopes
         self.slopes = once(np.divide, slopes, 1.0 + scale)
         if "speed" in added:
             at_knots = np.interp(self.knots, reader.t, added["speed"])
-            self.slopes = self.slopes + kinematics.mean_slope(at_knots, reader.knots)
+            self.slopes = self.slopes + eq.mean_slope(at_knots, reader.knots)
         if driven:
             # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
             lead = self.v * self.held(self.slopes)
@@ -102,12 +102,12 @@ class VehicleMotion:
     def _mean_slopes(self, x: Array) -> Array:
         """Return the mean of x between successive knots of the speed. A speed shows the mean
         acceleration between its knots."""
-        return self.once(kinematics.between_knots, x, self.knots, self.f.t)
+        return self.once(eq.between_knots, x, self.knots, self.f.t)
 
     def held(self, slopes: Array) -> Array:
         """Return values between successive knots as values on the grid, constant between two
         knots."""
-        return self.once(np.take, slopes, self.once(kinematics.step_of, self.knots, self.f.t))
+        return self.once(np.take, slopes, self.once(eq.step_of, self.knots, self.f.t))
 
     def as_speed_sees(self, x: Array) -> Array:
         """Return the means of x between successive knots of the speed, on the grid."""
@@ -118,8 +118,8 @@ class VehicleMotion:
         complex and computed block by block."""
         assert self.rate is not None
         p, q, r = self.rate
-        turned, back = self.once(kinematics.turned, r, self.f.rows)
-        return self.once(kinematics.carried, p, q, turned), back
+        turned, back = self.once(eq.turned, r, self.f.rows)
+        return self.once(eq.carried, p, q, turned), back
 
     def reference(self, tilt: Array, inertial: Array) -> Reference:
         """Return the signals for columns, with the tilt (B, 2) of each block.
@@ -129,7 +129,7 @@ class VehicleMotion:
         f, force = self.f, np.column_stack(self.force)
         x = force[:, 0]
         if self.f.has_turning:
-            force[:, 1] = self.v * self.r + kinematics.slope(self.v_y)
+            force[:, 1] = self.v * self.r + eq.slope(self.v_y)
         if self.rate is not None:
             u, turned = self._gravity()
             u = u + np.repeat(tilt[:, 0] + 1j * tilt[:, 1], f.rows) * turned
@@ -161,7 +161,7 @@ class VehicleMotion:
             if not self.is_column:
                 parts = (turned.real, -turned.imag)
                 tilt["accel_x"] = self._two(*(self.as_speed_sees(-GRAVITY * z) for z in parts))
-        along = self.once(kinematics.along, self.force[0], self.r, self.v_y, u)
+        along = self.once(eq.along, self.force[0], self.r, self.v_y, u)
         found["accel_x"] = self._apart(self.as_speed_sees(along), self.held(self.slopes))
         if f.drive.has("longitudinal_accel"):
             found["longitudinal_accel"] = self._felt("longitudinal_accel", 0)
@@ -185,14 +185,14 @@ class VehicleMotion:
             u, turned = self._gravity()
             if not self.is_column:
                 tilt["accel_y"] = self._two(-GRAVITY * turned.imag, -GRAVITY * turned.real)
-        found["accel_y"] = self.once(kinematics.across, self.force[1], self.v, self.r, self.v_y, u)
+        found["accel_y"] = self.once(eq.across, self.force[1], self.v, self.r, self.v_y, u)
 
     def vertical(self, found: dict[str, Array]) -> None:
         """Compute the residual of the upward force. On a vertical curve, the vehicle pitches with
         the road."""
         assert self.rate is not None
         if not self.f.drive.planar:
-            found["accel_z"] = self.once(kinematics.upward, self.force[2], self.v, self.rate[1])
+            found["accel_z"] = self.once(eq.upward, self.force[2], self.v, self.rate[1])
 
     def turning(self, found: dict[str, Array]) -> None:
         """Compute the residuals of roll rate and pitch rate. The effect of the springs is known,
@@ -201,17 +201,17 @@ class VehicleMotion:
         s, c, t, once = self.f.model.suspension, self.changes, self.f.t, self.once
         # Only motion is used, because gravity's part of the force changes with the rates
         # themselves.
-        along = once(kinematics.slow, self.held(self.slopes))
-        across = once(kinematics.slow, once(np.multiply, self.v, self.r))
+        along = once(eq.slow, self.held(self.slopes))
+        across = once(eq.slow, once(np.multiply, self.v, self.r))
         roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
         squat = s.squat_gradient * float(s.squat_dive) + c.get("suspension.squat_gradient", 0.0)
         dive = s.dive_gradient * float(s.squat_dive) + c.get("suspension.dive_gradient", 0.0)
         late = s.roll_damping / (np.pi * s.roll_frequency_hz)
         superelevation = c.get("_road.superelevation", 0.0)
-        rolling = once(kinematics.rolling, across, t, roll, late, superelevation)
+        rolling = once(eq.rolling, across, roll, superelevation, t, late)
         found["gyro_x"] = self._apart(self.measured[0], rolling)
         late = s.pitch_damping / (np.pi * s.pitch_frequency_hz)
-        pitching = once(kinematics.pitching, along, t, squat, dive, late)
+        pitching = once(eq.pitching, along, squat, dive, t, late)
         found["gyro_y"] = once(np.add, self.measured[1], pitching)
         if self.f.drive.has("yaw_rate"):
             true = None if self.settled is None else self.settled.rate
@@ -229,7 +229,7 @@ class VehicleMotion:
             scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
             scale *= 1.0 + self.changes.get("speed.scale", 0.0)
             shown, own = f.raw("wheel_speeds", late), f.model.wheel_speeds.scale
-            found["speed"] = self.once(kinematics.beside_wheels, self.v, shown, own, scale)
+            found["speed"] = self.once(eq.beside_wheels, self.v, shown, own, scale)
         if drive.has("steering") and f.has_turning:
             found["yaw_rate"] = self._apart(self.yaw_rate(), self._by_steering())
 
@@ -239,7 +239,7 @@ class VehicleMotion:
         if s is not None and s.steered is not None:
             # If each gain's column used its own signal, the difference of two columns would be the
             # residual with its noise. So both columns use the same signal.
-            true = self.once(kinematics.turning_by, s.rate, s.steered)
+            true = self.once(_turning_by, s.rate, s.steered)
         if self.f.drive.has("yaw_rate"):
             return self._own_yaw_rate(true)
         return self._turning(true)
@@ -247,7 +247,7 @@ class VehicleMotion:
     def _own_yaw_rate(self, true: Array | None) -> Array:
         """Return the vehicle's own yaw rate. true: (N, 3) angular rate that replaces the measured
         rate."""
-        z = None if true is None else self.once(kinematics.column, true, 2)
+        z = None if true is None else self.once(column, true, 2)
         return self._scalar("yaw_rate", z)
 
     def _turning(self, true: Array | None) -> Array:
@@ -260,9 +260,7 @@ class VehicleMotion:
     def _felt(self, name: str, axis: int) -> Array:
         """Return the acceleration from the vehicle's own sensor minus the force. Columns use the
         force of `settle`."""
-        force = (
-            None if self.settled is None else self.once(kinematics.column, self.settled.force, axis)
-        )
+        force = None if self.settled is None else self.once(column, self.settled.force, axis)
         own = self._scalar(name, force)
         return self._apart(own, self.force[axis])
 
@@ -276,13 +274,13 @@ class VehicleMotion:
         steer = self._scalar("steering")
         steer = once(self._followed, steer, once(np.abs, self.v), c, gradient)
         varying = self.changes.get("_steering.variable_ratio", 0.0)
-        leaning = once(kinematics.slow, self._leaning())
+        leaning = once(eq.slow, self._leaning())
         return once(
-            kinematics.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m
+            tyres.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m
         )
 
     def _followed(self, steer: Array, speed: Array, chassis: Chassis, gradient: float) -> Array:
-        return followed_angle(steer, speed, chassis, gradient, self.once)
+        return tyres.followed_angle(steer, speed, chassis, gradient, self.once)
 
     def _leaning(self) -> Array:
         """Return the sideways force from the road's lean [m/s^2].
@@ -292,7 +290,7 @@ class VehicleMotion:
         estimated from it.
         """
         if self.settled is None:
-            return self.once(kinematics.left_of_turn, self.force[1], self.v, self.r)
+            return self.once(eq.left_of_turn, self.force[1], self.v, self.r)
         moved = along_vehicle(self.changes, "accel.bias")[1]
         moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
         return self._apart(self.settled.leaning, moved)
@@ -303,3 +301,13 @@ def _more(axes: Axes, added: Array) -> Axes:
     object."""
     x, y, z = (c + a if a.any() else c for c, a in zip(axes, added.T, strict=True))
     return x, y, z
+
+
+def _turning_by(rate: Array | None, steered: Array) -> Array:
+    """Return the angular rate (N, 3) with its yaw rate replaced by `steered`."""
+    level = np.zeros((len(steered), 2)) if rate is None else rate[:, :2]
+    return np.column_stack([level, steered])
+
+
+def _of_lever(x: Array, y: Array, z: Array, lever: tuple[float, float, float]) -> Axes:
+    return eq.of_lever((x, y, z), (eq.slope(x), eq.slope(y), eq.slope(z)), lever)

@@ -1,10 +1,12 @@
 """Read one drive with a model file: each signal is shifted by its age, and its known errors are
-removed."""
+removed. Results are kept, because a column of a fit is an evaluation with one changed number, and
+most signals of this evaluation stay the same."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,12 +14,14 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
-from imucald.diagnosis.equations.kinematics import Axes, column
-from imucald.diagnosis.equations.once import Known, Once
 from imucald.diagnosis.signals import DriveSignals
+from imucald.drive.equations import Axes
 from imucald.model.model import VehicleModel
 
+T = TypeVar("T")
+Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
 REFERENCE_DEGC = 25.0
+GAINS = ("accel.scale", "accel.cross_axis")
 Part = tuple[tuple[str, float], ...]
 """Changes, as pairs of key and value."""
 OF_TRIAD = {
@@ -25,6 +29,35 @@ OF_TRIAD = {
     "gyro": ("gyro.", "mount.turn.", "accel.delay_s"),
 }
 """Beginnings of the keys that change the values of a triad."""
+
+
+class Once:
+    """Calls a function, unless its result for these inputs is already known.
+
+    Inputs are the same if arrays are the same objects and all other inputs are equal. The result of
+    the function must therefore depend on its inputs only. The stored arrays are made read-only.
+    keeps: if True, new results are stored in `known`. If False, new results are stored only as long
+    as this object exists.
+    """
+
+    def __init__(self, known: Known, keeps: bool) -> None:
+        self._known = known
+        self._new = known if keeps else {}
+
+    def __call__(self, make: Callable[..., T], *inputs: Any) -> T:
+        """Return the result of `make` for these inputs. Functions are identified by their names."""
+        key = (make.__name__, *((id(x),) if isinstance(x, np.ndarray) else x for x in inputs))
+        found = self._known.get(key) or self._new.get(key)
+        if found is not None:
+            known: T = found[1]
+            return known
+        made = make(*inputs)
+        # Inputs are kept too, because an array's id is unique only while the array lives.
+        self._new[key] = inputs, made
+        for x in made if isinstance(made, tuple) else (made,):
+            if isinstance(x, np.ndarray):
+                x.flags.writeable = False
+        return made
 
 
 @dataclass(frozen=True)
@@ -137,7 +170,7 @@ class Reader:
                 felt = self.raw("accel", self.age("accel", changes)) - self._level(name)
                 raw = raw - (sensor.per_force - stated) * felt
         true = raw @ np.linalg.inv(sensor.gain).T
-        if name == "accel" and any(_is_gain(key) for key in changes):
+        if name == "accel" and any(key.startswith(GAINS) for key in changes):
             # A gain is defined about one g upright; its effect on that one g counts as a zero
             # error.
             stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
@@ -202,5 +235,6 @@ def _part(changes: Changes, beginnings: tuple[str, ...]) -> Part:
     return tuple((key, x) for key, x in changes.items() if key.startswith(beginnings))
 
 
-def _is_gain(key: str) -> bool:
-    return key.startswith(("accel.scale", "accel.cross_axis"))
+def column(x: Array, i: int) -> Array:
+    """Return one axis (N,) of x (N, 3), as a contiguous array."""
+    return np.ascontiguousarray(x[:, i])

@@ -15,8 +15,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.fit.chance import Question, chance_of_large
-from imucald.diagnosis.result import Structure
+from imucald.diagnosis.fit.chance import Answer, chance_of_large
 from imucald.model.leaves import Bands, Leaves
 from imucald.model.model import VehicleModel
 
@@ -58,27 +57,22 @@ class FamilyRow:
 class Family:
     """Numbers of segments that a model file contains for its own drives."""
 
-    kind: str
     row: Callable[[str, int], FamilyRow | None]
     """Function that returns the row for the name of an entry and the index of its number; None: not
     tested."""
     least: int = LEAST_SEGMENTS
     """Smallest number of segments of an entry, and of a drive that is compared with the entry."""
 
-    def asked(self, left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
-        """Return one question for each number. left: numbers of the segments, by segment length
+    def answers(self, left: Mapping[float, Left], stated: VehicleModel) -> Iterator[Answer]:
+        """Yield one answer for each number. left: numbers of the segments, by segment length
         [s]."""
-        return [
-            question
-            for seconds, own in left.items()
-            for name, x, file in in_both(own, stated.leaves, seconds, self.least, self.least)
-            for question in self.questions(name, x, file)
-        ]
+        for seconds, own in left.items():
+            for name, x, file in in_both(own, stated.leaves, seconds, self.least, self.least):
+                yield from self.of_entry(name, x, file)
 
-    def questions(self, name: str, x: Array, file: Leaves) -> list[Question]:
-        """Return the questions for one entry. x: (B, 6) numbers of the segments."""
+    def of_entry(self, name: str, x: Array, file: Leaves) -> Iterator[Answer]:
+        """Yield the answers for one entry. x: (B, 6) numbers of the segments."""
         logs, more, se, free = beside_file(x, file)
-        made = []
         for i in range(x.shape[1]):
             row = self.row(name, i)
             if row is None or free[i] < 1.0:
@@ -86,14 +80,15 @@ class Family:
             far = float(abs(more[i]) if row.either_way else more[i])
             sides = 2.0 if row.either_way else 1.0
             p = min(sides * float(student.sf((far - row.start) / se[i], free[i])), 1.0)
-            size = float(np.exp(far - row.limit)) if row.in_times else far / row.limit
-            text = row.words(float(np.exp(np.median(logs[:, i]))), float(more[i]))
-            structure = Structure(name.split()[2] if " " in name else name, self.kind, size, text)
             # A chance computed beyond the limit is already the chance of looking large.
             is_sharp = row.start == 0.0
-            rare = chance_of_large(row.limit, float(se[i]), float(free[i])) if is_sharp else 1.0
-            made.append(Question(p, bool(far - se[i] > row.limit), structure, rare))
-        return made
+            yield Answer(
+                name.split()[2] if " " in name else name, far, row.limit, p,
+                row.words(float(np.exp(np.median(logs[:, i]))), float(more[i])),
+                sure=float(far - se[i]),
+                shown=float(np.exp(far - row.limit)) if row.in_times else far / row.limit,
+                rare=chance_of_large(row.limit, float(se[i]), float(free[i])) if is_sharp else 1.0,
+            )  # fmt: skip
 
     def written(self, model: VehicleModel, left: Mapping[float, Left]) -> VehicleModel:
         """Return the model file with entries for these segments, in addition to its previous

@@ -77,8 +77,6 @@ class Table:
     keys: tuple[str, ...]
     gram: Array
     by_equation: Mapping[str, Array]
-    rows: Array
-    """Number (B,) of whitened rows in each block."""
     start_s: Array
     drive: NDArrayInt
     moving: Array
@@ -289,16 +287,17 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
     for i in range(PASSES):
-        left = _without_tilt(parts, free)
-        weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
+        left = {n: (rows.y - rows.X @ free)[:, :, None] for n, rows in parts.items()}
+        left = levelled(left, tilts_of(parts))
+        weights = {n: noise_weights(left[n][:, :, 0], rows.good) for n, rows in parts.items()}
         gram = _gram(parts, weights)
         whole = np.asarray(sum(gram.values()))
         if i + 1 < PASSES:
             total = whole.sum(axis=0)
             # A fit with implausible values is not accepted, even if it reduces the noise.
             free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
-    count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
-    keep, nbytes = count > 0, sum(rows.X.nbytes for rows in parts.values())
+    keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
+    nbytes = sum(rows.X.nbytes for rows in parts.values())
 
     def by_equation() -> Mapping[str, Array]:
         return {n: g[keep] for n, g in _gram(parts, weights).items()}
@@ -307,17 +306,11 @@ def _weighed(
         return {n: g[keep] for n, g in _plain(parts).items()}
 
     return Table(
-        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes), count[keep],
+        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes),
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
         next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
         levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
     )  # fmt: skip
-
-
-def _without_tilt(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
-    """Return the residual rows (B, K) minus X x, with the tilt fitted again."""
-    left = {name: (rows.y - rows.X @ x)[:, :, None] for name, rows in parts.items()}
-    return {name: y[:, :, 0] for name, y in levelled(left, tilts_of(parts)).items()}
 
 
 def tilts_of(
@@ -339,15 +332,11 @@ def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str,
     if not tilts:
         return dict(rows)
     A, Z = (np.concatenate([of[n] for n in tilts], axis=1) for of in (rows, tilts))
-    ends = np.cumsum([z.shape[1] for z in tilts.values()])[:-1]
-    made = dict(zip(tilts, np.split(without_tilt(A, Z), ends, axis=1), strict=True))
-    return made | {n: a for n, a in rows.items() if n not in made}
-
-
-def without_tilt(A: Array, Z: Array) -> Array:
-    """Return rows (B, K, P) with the tilt (B, K, Z) of each block projected out."""
     inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(Z.shape[2])
-    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
+    level = A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A)
+    ends = np.cumsum([z.shape[1] for z in tilts.values()])[:-1]
+    made = dict(zip(tilts, np.split(level, ends, axis=1), strict=True))
+    return made | {n: a for n, a in rows.items() if n not in made}
 
 
 def noise_weights(left: Array, good: Mask) -> Array:

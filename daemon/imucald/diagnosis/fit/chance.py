@@ -1,9 +1,13 @@
-"""Many tests of residuals, with one false-discovery rate for all tests."""
+"""Many tests of residuals, with one false-discovery rate for all tests.
+
+The tests are the rows of `left_over.table`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -14,22 +18,64 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array
 from imucald.diagnosis.result import Structure
 
+Tick = Callable[[str], None]
+"""Function that is called with the text of the present step."""
 FALSE_SHARE = 0.01
 """False-discovery rate of the reports. If nothing is wrong, this is the chance of any report."""
 
 
 @dataclass(frozen=True)
-class Question:
-    """A test of a residual: its chance if nothing is wrong, and the structure that it would
-    report."""
+class Answer:
+    """Result of one test of a residual or of raw values."""
 
+    signal: str
+    size: float
+    """Size of the effect, in any unit."""
+    least: float
+    """Largest size that a correct model file or a healthy signal may cause, in the same unit."""
     p: float
-    is_large: bool
-    """True if the effect is larger than the effect that a correct model file may leave."""
-    structure: Structure
-    may_be_large: float = 1.0
+    """Chance of such an effect if nothing is wrong."""
+    text: str
+    parameter: str = ""
+    """The zero error or gain that changes, as in `Structure`."""
+    sure: float | None = None
+    """The part of the size that must exceed `least`; None: the whole size."""
+    shown: float | None = None
+    """Reported size; None: the ratio of size and `least`."""
+    rare: float = 1.0
     """Upper limit of the chance that the effect looks large although nothing is wrong. An
     accurately known value never looks large by chance."""
+    kind: str = ""
+    """Kind of the structure; empty: the kind of the row."""
+
+    @property
+    def is_large(self) -> bool:
+        """True if the effect is larger than a correct model file may cause."""
+        return bool((self.size if self.sure is None else self.sure) > self.least)
+
+    @property
+    def structure(self) -> Structure:
+        """The structure that is reported."""
+        shown = self.size / self.least if self.shown is None else self.shown
+        return Structure(self.signal, self.kind, shown, self.text, self.parameter)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One question about structure that no cause of the catalogue explains."""
+
+    kind: str
+    """Kind of the reported structure."""
+    question: str
+    statistic: Callable[[Any], Iterable[Answer]]
+    """Function of the evidence of the table."""
+    has_limit: bool = False
+    """True if `least` contains the chance: every effect beyond `least` is then reported, without a
+    share of the false-discovery rate."""
+
+    def asked(self, evidence: Any) -> list[Answer]:
+        """Return the answers to the question."""
+        return [replace(a, kind=a.kind or self.kind) for a in self.statistic(evidence)]
 
 
 def chance_of_large(limit: float, se: float, free: float, beside: float = 1.0) -> float:
@@ -46,7 +92,26 @@ def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:
     return 2.0 * max(float(student.sf(by_parts, free)), float(norm.sf(by_rows)))
 
 
-def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
+def reported(rows: Iterable[Row], evidence: Any, tick: Tick, apart: str = "") -> list[Structure]:
+    """Ask all rows, and return the structures to report. tick: called with each question. apart:
+    parameter whose answers have a false-discovery rate of their own."""
+    certain: list[Structure] = []
+    others: list[Answer] = []
+    for row in rows:
+        tick(row.question)
+        answers = row.asked(evidence)
+        if row.has_limit:
+            certain += [a.structure for a in answers if a.is_large]
+        else:
+            others += answers
+    is_apart = [apart != "" and a.parameter == apart for a in others]
+    for own in (False, True):
+        part = (a for a, flag in zip(others, is_apart, strict=True) if flag == own)
+        certain += beyond_chance(part)
+    return certain
+
+
+def beyond_chance(asked: Iterable[Answer]) -> list[Structure]:
     """Return the structures to report: large effects whose chance is at most a certain level. The
     level is the largest level at which the expected number of false reports is 1 % of all reports
     at this level. For each signal and kind, only the most certain structure is reported.
@@ -56,15 +121,16 @@ def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
     false-discovery rate (Benjamini and Hochberg 1995; as an estimate, Storey, Taylor and Siegmund
     2004). Questions that can never be reported do not count (Tarone 1990).
     """
+    answers = list(asked)
     found: dict[tuple[str, str], Structure] = {}
-    large = sorted((q for q in asked if q.is_large), key=lambda q: q.p)
-    may = np.array([q.may_be_large for q in asked])
+    large = sorted((a for a in answers if a.is_large), key=lambda a: a.p)
+    may = np.array([a.rare for a in answers])
     sure = 0
-    for k, q in enumerate(large, start=1):
-        if float(np.minimum(may, q.p).sum()) <= k * FALSE_SHARE:
+    for k, a in enumerate(large, start=1):
+        if float(np.minimum(may, a.p).sum()) <= k * FALSE_SHARE:
             sure = k
-    for q in large[:sure]:
-        found.setdefault((q.structure.signal, q.structure.kind), q.structure)
+    for a in large[:sure]:
+        found.setdefault((a.signal, a.kind), a.structure)
     return list(found.values())
 
 

@@ -12,8 +12,9 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array
 from imucald.diagnosis.fit.box import RIDGE
 from imucald.diagnosis.fit.score import Hypothesis, Problem
+from imucald.diagnosis.signals import CHANCE
 
-ERROR_RATE = 0.01
+ERROR_RATE = CHANCE
 """Chance that any cause of a drive is named falsely."""
 
 

@@ -8,7 +8,7 @@ parameters from the box.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from imucald.core.arrays import Array
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.fit.blocks import NDArrayInt, Table
 from imucald.diagnosis.fit.box import box_fit
+from imucald.diagnosis.signals import Mask
 
 FOLDS = 8
 REACH = 3.0
@@ -95,28 +96,12 @@ class Problem:
     def widened(self, h: Hypothesis | None) -> tuple[Array, Array, Array]:
         """Return Gram matrices (B, Q+1, Q+1) and bounds (Q,) with a hypothesis's parameters
         freed."""
-        if h is None:
-            return self.table.gram, self.low, self.high
-        for known, made in self._asked:
-            if known is h:
-                return made
-        # Only the last result is kept: it is asked for a few times in a row.
-        self._asked[:] = [(h, self._widened(h))]
-        return self._asked[0][1]
+        return (self.table.gram, self.low, self.high) if h is None else self._freed(h)[0]
 
     def fit(self, h: Hypothesis | None = None) -> Array:
         """Return all fitted parameters (Q,) within their bounds. Parameters of a hypothesis with a
         pattern are last."""
-        gram, low, high = self.widened(h)
-        if h is None:
-            return self._whole
-        for known, x in self._fitted:
-            if known is h:
-                return x
-        total = gram.sum(axis=0)
-        x = box_fit(total[1:, 1:], total[1:, 0], low, high)
-        self._fitted[:] = [(h, x)]
-        return x
+        return self._whole if h is None else self._freed(h)[1]
 
     def fitted_changes(self) -> dict[str, float]:
         """Return the changes of the model file from the fit within all bounds: key to value,
@@ -125,16 +110,18 @@ class Problem:
 
     @cached_property
     def _whole(self) -> Array:
-        total = self.table.gram.sum(axis=0)
-        return box_fit(total[1:, 1:], total[1:, 0], self.low, self.high)
+        return fitted(*self.widened(None))
 
     @cached_property
-    def _asked(self) -> list[tuple[Hypothesis, tuple[Array, Array, Array]]]:
+    def _last(self) -> list[tuple[Hypothesis, tuple[Array, Array, Array], Array]]:
         return []
 
-    @cached_property
-    def _fitted(self) -> list[tuple[Hypothesis, Array]]:
-        return []
+    def _freed(self, h: Hypothesis) -> tuple[tuple[Array, Array, Array], Array]:
+        # Only the last result is kept: it is asked for a few times in a row.
+        if not self._last or self._last[0][0] is not h:
+            made = self._widened(h)
+            self._last[:] = [(h, made, fitted(*made))]
+        return self._last[0][1:]
 
     def _widened(self, h: Hypothesis) -> tuple[Array, Array, Array]:
         gram, low, high = self.table.gram, self.low, self.high
@@ -186,26 +173,34 @@ class Problem:
         return made
 
 
-def folds(blocks: int) -> Array:
-    """Return the fold (B,) of each block. A fold is a contiguous segment."""
-    return np.asarray(np.arange(blocks) * min(FOLDS, blocks) // blocks)
+def folds(blocks: int) -> Iterator[Mask]:
+    """Yield flags (B,) of the blocks of each fold. A fold is a contiguous segment."""
+    fold = np.arange(blocks) * min(FOLDS, blocks) // blocks
+    return (fold == k for k in range(int(fold.max()) + 1))
 
 
 def losses(gram: Array, x: Array) -> Array:
-    """Return half of the squared whitened residual of each block (B,)."""
-    z = np.concatenate([[1.0], -x])
-    return np.asarray(0.5 * (gram @ z @ z))
+    """Return half of the squared residual of each block (B,). x: (Q,) parameters, or (B, Q) of each
+    block."""
+    if x.ndim == 1:
+        z = np.concatenate([[1.0], -x])
+        return np.asarray(0.5 * (gram @ z @ z))
+    rows = np.insert(-x, 0, 1.0, axis=1)
+    return np.asarray(0.5 * np.einsum("bi,bij,bj->b", rows, gram, rows))
+
+
+def fitted(gram: Array, low: Array, high: Array) -> Array:
+    """Return the parameters (Q,) that fit the blocks (B, Q+1, Q+1) within bounds."""
+    total = gram.sum(axis=0)
+    return box_fit(total[1:, 1:], total[1:, 0], low, high)
 
 
 def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
     """Return the loss (B,) of each block, from a fit that did not use the fold of the block."""
     gram, low, high = problem.widened(h)
-    total = gram.sum(axis=0)
-    fold = folds(len(gram))
-    whole = problem.fit(h)
+    total, whole = gram.sum(axis=0), problem.fit(h)
     lost = np.empty(len(gram))
-    for k in range(int(fold.max()) + 1):
-        out = fold == k
+    for out in folds(len(gram)):
         rest = total - gram[out].sum(axis=0)
         x = box_fit(rest[1:, 1:], rest[1:, 0], low, high, whole)
         lost[out] = losses(gram[out], x)

@@ -7,10 +7,9 @@ prediction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import gamma
 
 from imucald.core.arrays import Array
@@ -18,24 +17,17 @@ from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt, late_signals
-from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.fit.score import Problem, one_in_fifteen
-from imucald.diagnosis.result import (
-    GOES_AGAINST,
-    TOO_MUCH,
-    Structure,
-)
+from imucald.diagnosis.fit.chance import Answer
+from imucald.diagnosis.fit.score import losses, one_in_fifteen
+from imucald.diagnosis.left_over.remains import DRIVEN, Remains, Spectra
+from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import STEP_S, Mask
+from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, STEP_S, Mask
 
-Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4
 """Correlation of a signal with its prediction below which a sign is wrong."""
 LEAST_ROWS = 300
 LEAST_BLOCKS = 10
-CHANCE = 0.01
-"""Chance of a reported coherence from noise alone. This chance is divided among the frequency
-bands."""
 HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""
@@ -60,9 +52,6 @@ FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Product of delay and cut-off frequency of a first-order low-pass filter, for frequencies well
 below the cut-off."""
 OCTAVE = 2.0
-DRIVEN = ("_winding", "_braking")
-"""Names of the lateral and forward accelerations that the driver causes."""
-DRIVING_MPS = 2.0
 BAND_HZ = 0.25, 4.5
 """Range of tested frequencies [Hz]. Lower frequencies are absorbed by the tilt of a segment. The
 upper limit is below half of the grid's rate."""
@@ -102,32 +91,29 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
         r = float(np.corrcoef(y, p)[0, 1])
         if r < OPPOSITE:
             text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
-            found.append(Structure(name, GOES_AGAINST, abs(r), text))
+            found.append(Structure(name, Kind.GOES_AGAINST, abs(r), text))
     return found
 
 
-def too_much(problem: Problem, state: State) -> list[Structure]:
-    """Report a residual of the sideways force that is larger than in any measured car. With such a
-    residual, a cause is missing, and no fit without this cause can be trusted."""
-    name = "accel_y"
-    if not {name, "gyro_x"} <= set(problem.table.plain):
-        return []
-    z = np.concatenate([[1.0], -problem.fit()])
-    power = np.sort(np.einsum("i,bkij,j->b", z, problem.table.plain[name], z))
+def too_much(left: Remains) -> Iterator[Answer]:
+    """Test for a residual of the sideways force that is larger than in any measured car. With such
+    a residual, a cause is missing, and no fit without this cause can be trusted."""
+    name, table = "accel_y", left.table
+    if not {name, "gyro_x"} <= set(table.plain):
+        return
+    power = np.sort(2.0 * losses(table.plain[name].sum(axis=1), left.problem.fit()))
     power = power[power > 0.0]
     # Single blocks must not decide: a block in which the sensor is knocked has no fixed mount.
     power = power[: len(power) - one_in_fifteen(len(power))]
-    left = float(np.sqrt(power[-1])) if len(power) else 0.0
-    limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
-    if left <= limit:
-        return []
+    most = float(np.sqrt(power[-1])) if len(power) else 0.0
+    limit = float(np.hypot(MOST_LEFT_MPS2, _noise(left.state, table.top_hz[name])))
     text = (
-        f"in one of fifteen segments, at least {left:.2g} m/s^2 of the sideways force is left "
+        f"in one of fifteen segments, at least {most:.2g} m/s^2 of the sideways force is left "
         f"after every fit; gusts and the noise of the accelerometer leave {limit:.2g}. The "
         "sensor is not fixed to the vehicle, or something acts on it that speed and turning "
         "do not show"
     )
-    return [Structure(name, TOO_MUCH, left / limit, text)]
+    yield Answer(name, most, limit, 0.0, text)
 
 
 def _noise(state: State, top_hz: float) -> float:
@@ -145,49 +131,14 @@ def _noise(state: State, top_hz: float) -> float:
     return float(max(found))
 
 
-def spectra_of(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
-    """Return the spectra (B blocks, F frequencies) of each equation's residual, in the residual's
-    unit.
-
-    The row of a block with too few samples or too little driving is NaN. The inputs of the
-    vehicle's motion, `_steering` and `_turning`, are included.
-
-    All parameters are fitted within their tolerances.
-    """
-    changes = problem.fitted_changes()
-    parts: dict[str, list[Spectra]] = {}
-    for f in forwards:
-        masks, found = f.usable(), f.residuals(changes)
-        leveled = f.level(found, masks)
-        v = f.amount_of_speed().reshape(f.blocks, f.rows)
-        # The product is used under two masks, because a segment may lack one of the two equations.
-        sideways = v * f.yaw_rate().reshape(v.shape) if f.has_turning else v
-        if "yaw_rate" in leveled:
-            leveled["_turning"] = sideways
-            leveled["_steering"] = f.scalar("steering", {}).reshape(v.shape)
-            masks |= dict.fromkeys(("_turning", "_steering"), masks["yaw_rate"])
-        if f.has_turning and "accel_x" in leveled:
-            leveled["_winding"] = sideways
-            leveled["_braking"] = np.asarray(np.gradient(v, STEP_S, axis=1))
-            masks |= dict.fromkeys(DRIVEN, masks["accel_x"])
-        # With this window, the squares of all bins add up to the mean square of a row.
-        window = np.hanning(f.rows) * np.sqrt(2.0 / (0.375 * f.rows**2))
-        for name, y in leveled.items():
-            left = np.where(masks[name], y, 0.0)
-            z = np.fft.rfft((left - left.mean(axis=1, keepdims=True)) * window, axis=1)
-            good = (masks[name].mean(axis=1) > 0.6) & ((v > DRIVING_MPS).mean(axis=1) > 0.5)
-            parts.setdefault(name, []).append(np.where(good[:, None], z, np.nan))
-    return {name: np.concatenate(p) for name, p in parts.items()}
-
-
 def as_loud(z: Spectra) -> Spectra:
     """Return the spectra with all blocks scaled to equal power."""
     loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
     return np.asarray(z / np.maximum(loud, 1e-30))
 
 
-def shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
-    """Find a common motion in the residuals of two equations without a common sensor.
+def shared(left: Remains) -> Iterator[Answer]:
+    """Test for a common motion in the residuals of two equations without a common sensor.
 
     The test uses the partial coherence. Everything that is linear in steering and turning is
     removed from both residuals, for any dynamics (Bendat and Piersol, Random Data, ch. 7), so an
@@ -195,13 +146,13 @@ def shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[
     p^(1/(n - 1)) for n segments. The motion must also exceed the effect of calm air at this speed,
     as a lateral push or as the acceleration v r of the resulting turn.
     """
+    forwards, spectra = left.state.forwards, left.spectra
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
-        return []
+        return
     v = np.concatenate([f.drive.knots.values for f in forwards])
     calm, fast = _calm(v), float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 2)))
     hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
-    found = []
     for first, second in PAIRS:
         if not {first, second, "_steering"} <= set(spectra):
             continue
@@ -213,21 +164,19 @@ def shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[
         bands = [(hz >= x) & (hz < y) for x, y in BANDS_HZ]
         pushed = [_common(a[good], b[good], known[good], band) for band in bands]
         turned = [_common(fast * b[good], a[good], known[good], band) for band in bands]
-        sure = [(share, moved) for share, moved, chance in pushed if share > chance]
+        sure = [share for share, _, chance in pushed if share > chance]
         total = max(
             float(np.sqrt(sum(moved**2 for share, moved, chance in each if share > chance)))
             for each in (pushed, turned)
         )
-        if total > calm:
-            share = max(share for share, _ in sure)
-            text = (
-                f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz, up to {100 * share:.0f} "
-                f"% of the residual ({total:.2g} m/s^2) is also in the residual of "
-                f"{second.replace('_', ' ')}, although they have no sensor in common: "
-                "something moves the vehicle that speed and steering do not show"
-            )
-            found.append(Structure(first, "shared motion", share, text))
-    return found
+        share = max(sure, default=0.0)
+        text = (
+            f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz, up to {100 * share:.0f} "
+            f"% of the residual ({total:.2g} m/s^2) is also in the residual of "
+            f"{second.replace('_', ' ')}, although they have no sensor in common: "
+            "something moves the vehicle that speed and steering do not show"
+        )
+        yield Answer(first, total, calm, CHANCE, text, shown=share)
 
 
 def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
@@ -282,15 +231,15 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
 # lines -------------------------------------------------------------------------------------------
 
 
-def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
-    """Return one question for each equation, about the strongest line in its spectrum: does
-    anything oscillate?
+def lines(left: Remains) -> Iterator[Answer]:
+    """Yield one answer for each equation, about the strongest line in its spectrum: does anything
+    oscillate?
 
     Everything that is linear in the vehicle's accelerations is removed first, because driving may
     be periodic. A body on its springs oscillates in a band of half a hertz, and a road excites the
     whole band. A narrower line has another source: a fan, a pump, or a supply ripple.
     """
-    made = []
+    spectra = left.spectra
     for name, tau in ZEROS.items():
         if name not in spectra or not set(DRIVEN) <= set(spectra):
             continue
@@ -301,13 +250,12 @@ def lines(state: State, spectra: Mapping[str, Spectra]) -> list[Question]:
             continue
         z = left_of_known(z[good], known[good])
         hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
-        asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, state))
-        for s, low, high in cut_offs(state.changes):
+        asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, left.state))
+        for s, low, high in cut_offs(left.state.changes):
             if s in TAKES[name]:
                 asked &= (hz < low) | (hz > high)
         if asked.any():
-            made.append(_question(name, z, hz, np.flatnonzero(asked), PARAMETERS[tau].tolerance))
-    return made
+            yield _of_line(name, z, hz, np.flatnonzero(asked), PARAMETERS[tau].tolerance)
 
 
 def _to_hz(name: str, state: State) -> float:
@@ -318,8 +266,8 @@ def _to_hz(name: str, state: State) -> float:
     return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
 
 
-def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Question:
-    """Return the question about the strongest line of an equation. z: (B, F) spectra of segments.
+def _of_line(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Answer:
+    """Return the answer about the strongest line of an equation. z: (B, F) spectra of segments.
     asked: indices of the tested frequencies. tau: smallest amplitude of a line."""
     # One segment in fifteen must not decide.
     kept = len(z) - one_in_fifteen(len(z))
@@ -339,8 +287,8 @@ def _question(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -
         f"a line at {hz[i]:.2f} Hz, {ratio[best]:.0f} times as strong as its surroundings, "
         f"with an amplitude of {size:.2g} {UNITS[name]}"
     )
-    return Question(p, bool(ratio[best] > PEAK and size > tau),
-                    Structure(name, "peak", float(ratio[best]), text))  # fmt: skip
+    sure = size if ratio[best] > PEAK else 0.0
+    return Answer(name, size, tau, p, text, sure=sure, shown=float(ratio[best]))
 
 
 def _beside(power: Array, i: int) -> float:

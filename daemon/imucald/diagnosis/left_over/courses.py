@@ -21,12 +21,11 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
+from imucald.diagnosis.fit.chance import Answer
+from imucald.diagnosis.fit.score import one_in_fifteen
+from imucald.diagnosis.left_over.remains import Remains
 from imucald.diagnosis.outcome import SEEN_SHARE, first_signal
-from imucald.diagnosis.result import WANDERS, Structure
-from imucald.diagnosis.search.state import State
-from imucald.diagnosis.search.trials import hypotheses, on_table
+from imucald.diagnosis.search.trials import hypotheses
 from imucald.mount.mount_words import SD_95
 
 ASKED = ("bias", "scale", "offset")
@@ -88,24 +87,11 @@ class Course:
     text: str
 
 
-def drift_of(problem: Problem, state: State) -> Hypothesis | None:
-    """Return the named drift, which has no place in the model file; None if there is no drift."""
-    drifts = (t.hypothesis for t in state.named if t.hypothesis.pattern is not None)
-    return next((on_table(h, problem.table) for h in drifts), None)
-
-
-def courses(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """Return the questions about zero errors, gains and the delay of the speed that change during
-    the drives. drift: a named drift, which has no place in the model file and is therefore fitted
-    here."""
-    if problem.table.blocks < LEAST_BLOCKS:
-        return []
-    return [*by_course(problem, drift), *gains_apart(problem, state, drift)]
-
-
-def by_course(problem: Problem, drift: Hypothesis | None) -> Iterator[Question]:
-    """Yield one question for each parameter and row of `COURSES`."""
-    table, z = problem.table, what_leaves(problem, drift)
+def by_course(left: Remains) -> Iterator[Answer]:
+    """Yield one answer for each parameter and row of `COURSES`."""
+    table, z, drift = left.table, left.z, left.drift
+    if table.blocks < LEAST_BLOCKS:
+        return
     for j, key in enumerate(table.keys):
         h = table.gram[:, j + 1, j + 1]
         if not (h.any() and (key == DELAY or any(part in ASKED for part in key.split(".")))):
@@ -122,16 +108,16 @@ def by_course(problem: Problem, drift: Hypothesis | None) -> Iterator[Question]:
             found = find(scores)
             if found is None:
                 continue
-            size = found.value / (sides * may)
             text = f"{key} {found.text.format(amount(key, found.value))}"
-            p = _share_of_orders(scores.s, found.image, found.size_of)
-            yield _question(table, key, p, size, text, found.rare(sides * may))
+            p, rare = _share_of_orders(scores.s, found.image, found.size_of), found.rare
+            yield _answer(table, key, p, found.value, sides * may, text, rare(sides * may))
 
 
-def _question(table: Table, key: str, p: float, size: float, text: str, rare: float) -> Question:
-    text = f"{text} ({size:.1f} times the limit of a correct file)"
-    structure = Structure(first_signal(table, [key]), WANDERS, size, text, key)
-    return Question(p, size > 1.0, structure, min(rare, 1.0))
+def _answer(
+    table: Table, key: str, p: float, size: float, least: float, text: str, rare: float = 1.0
+) -> Answer:
+    text = f"{text} ({size / least:.1f} times the limit of a correct file)"
+    return Answer(first_signal(table, [key]), size, least, p, text, key, rare=min(rare, 1.0))
 
 
 # rows --------------------------------------------------------------------------------------------
@@ -272,15 +258,15 @@ def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) 
 # random effects ----------------------------------------------------------------------------------
 
 
-def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> Iterator[Question]:
-    """Yield questions about gains whose values in single segments differ by more than their own
+def gains_apart(left: Remains) -> Iterator[Answer]:
+    """Yield answers about gains whose values in single segments differ by more than their own
     errors, in any order (random effects). Zero errors are not tested, because the zero error of a
     single segment absorbs the effect of its road."""
-    table, z = problem.table, what_leaves(problem, drift)
-    for h in hypotheses(table, state.model, []):
+    table, z = left.table, left.z
+    for h in hypotheses(table, left.state.model, []):
         if h.pattern is not None or any(key.split(".")[1] != "scale" for key in h.keys):
             continue
-        for k, (key, error) in enumerate(zip(h.keys, problem.model_error(h), strict=True)):
+        for k, (key, error) in enumerate(zip(h.keys, left.problem.model_error(h), strict=True)):
             d = np.zeros(z.shape[1])
             for name, factor in (h.directions[k] if h.directions else {key: 1.0}).items():
                 d[table.keys.index(name) + 1] = factor
@@ -290,7 +276,7 @@ def gains_apart(problem: Problem, state: State, drift: Hypothesis | None) -> Ite
             limit = EVENLY * (table.tolerance[table.keys.index(key)] + SD_95 * error)
             size, p = _scatter(x, variance, limit)
             text = f"{key} changes from segment to segment by {amount(key, size)}"
-            yield _question(table, key, p, size / limit, text, 1.0)
+            yield _answer(table, key, p, size, limit, text)
 
 
 def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:

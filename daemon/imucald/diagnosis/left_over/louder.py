@@ -10,11 +10,11 @@ not contain. No particular shape of the residual is assumed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
-from scipy.fft import dct
 from scipy.special import betainc, ndtr, stdtr, stdtrit
 from scipy.stats import beta, chi2
 from scipy.stats import f as fisher
@@ -26,19 +26,14 @@ from imucald.diagnosis.fit.beside_file import (
     ROAD_CLASS,
     Family,
     FamilyRow,
-    Left,
     beside_file,
     in_both,
-    joined,
 )
-from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE
-from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.fit.score import Hypothesis, Problem, one_in_fifteen, what_leaves
-from imucald.diagnosis.result import LOUDER, UNEVEN, Structure
-from imucald.diagnosis.search.state import State
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Mask
+from imucald.diagnosis.fit.chance import Answer
+from imucald.diagnosis.fit.score import one_in_fifteen
+from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.signals import CHANCE
 from imucald.model.leaves import BANDS_HZ, Leaves
-from imucald.model.model import VehicleModel
 
 SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
                   "gyro_y": 0.0}  # fmt: skip
@@ -53,8 +48,6 @@ CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
 """Smallest number of blocks: with fewer blocks, the median and the one block that must not decide
 cannot be separated."""
-CHANCE = 0.01
-"""Chance that more than one segment in fifteen exceeds the assumed noise by noise alone."""
 OF_MEDIAN = 2.0 / np.pi
 """Ratio of the variance of the mean to the variance of the median, for normal variables."""
 SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
@@ -65,34 +58,6 @@ FAR = 6.0
 LASTING = np.linspace(-FAR, FAR, 121)
 """Possible common differences between all segments and the model file, in standard deviations."""
 WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
-
-
-def left_of(problem: Problem, state: State) -> dict[float, Left]:
-    """Return, by segment length [s] and equation, the mean speed (B,) of each segment in motion and
-    its rms residual (B, bands) in the unit of the equation. All parameters are fitted in their box
-    first."""
-    changes = problem.fitted_changes()
-    parts: dict[str, list[tuple[Array, Array]]] = {}
-    for f in state.forwards:
-        masks = f.usable()
-        v = f.amount_of_speed().reshape(f.blocks, f.rows)
-        moving = (v > STANDING_MPS).mean(axis=1) >= MOVING_SHARE
-        for name, y in f.level(f.residuals(changes), masks).items():
-            good = moving & (masks[name].mean(axis=1) >= LEAST_SHARE)
-            rms = _by_band(y[good], masks[name][good])
-            parts.setdefault(name, []).append((v[good].mean(axis=1), rms))
-    return {problem.table.seconds: joined(parts)}
-
-
-def _by_band(y: Array, mask: Mask) -> Array:
-    """Return the rms (B, bands) of the present rows (B, n)."""
-    n = y.shape[1]
-    power = dct(np.where(mask, y, 0.0), type=2, axis=1, norm="ortho") ** 2
-    hz = np.arange(n) / (2.0 * n * STEP_S)
-    edges = np.searchsorted(hz, BANDS_HZ)
-    edges[-1] = n
-    sums = np.add.reduceat(power, edges[:-1], axis=1) if len(y) else np.zeros((0, len(edges) - 1))
-    return np.asarray(np.sqrt(sums / np.maximum(mask.sum(axis=1), 1)[:, None]))
 
 
 def _row(name: str, band: int) -> FamilyRow:
@@ -113,13 +78,14 @@ def _row(name: str, band: int) -> FamilyRow:
     )
 
 
-LEAVES = Family(LOUDER, _row)
+LEAVES = Family(_row)
 """Tests of the residuals of segments, by equation and band."""
+
 
 # single segments ---------------------------------------------------------------------------------
 
 
-def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
+def uneven(left: Remains) -> Iterator[Answer]:
     """Find segments whose residual is larger than their noise and the errors of a correct model
     file. Some of these segments contain an effect that no parameter describes.
 
@@ -127,13 +93,11 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     median (Fisher's F distribution, because the median of few segments is inaccurate). With the
     limit used here, more than one segment in fifteen exceeds the limit with a chance of 1 %
     (binomial). In addition, a segment may contain the effect of parameters that are wrong by their
-    tolerances. A single segment in fifteen must not decide the result. drift: a named drift, which
-    has no place in the model file and is therefore fitted here.
+    tolerances. A single segment in fifteen must not decide the result.
     """
-    table, z = problem.table, what_leaves(problem, drift)
-    found: list[Structure] = []
+    table, z = left.table, left.z
     if CARRIED_BY not in table.plain:
-        return found  # the residuals contain each segment's road slope
+        return  # the residuals contain each segment's road slope
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
         if there.sum() < LEAST_BLOCKS:
@@ -148,32 +112,28 @@ def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
         each = beta.ppf(CHANCE, few + 1, n - few)
         noise = middle * fisher.isf(each, count, OF_MEDIAN * count * n)
         over = np.sort((power - noise) / np.maximum(may, 1e-30))
-        size = float(over[n - few - 1])
-        if size > 1.0:
-            text = (
-                f"one segment in fifteen has {np.sqrt(size):.2g} times the residual of a correct "
-                "file, noise not counted: something acts only in these segments"
-            )
-            found.append(Structure(name, UNEVEN, float(np.sqrt(size)), text))
-    return found
+        size = float(np.sqrt(max(over[n - few - 1], 0.0)))
+        text = (
+            f"one segment in fifteen has {size:.2g} times the residual of a correct "
+            "file, noise not counted: something acts only in these segments"
+        )
+        yield Answer(name, size, 1.0, CHANCE, text)
 
 
-def more_than_stated(left: Mapping[float, Left], stated: VehicleModel) -> list[Question]:
-    """Return tests for larger residuals than the model file states, in one segment in fifteen, in
-    four or in two.
+def more_than_stated(left: Remains) -> Iterator[Answer]:
+    """Test for larger residuals than the model file states, in one segment in fifteen, in four or
+    in two.
 
     Each equation and band is compared with the file's own drives. Only segments within the speed
-    range of the file are used. left: result of `left_of`."""
-    return [
-        question
-        for seconds, own in left.items()
-        for name, rms, file in in_both(own, stated.leaves, seconds, LEAST_BLOCKS)
-        for question in _of_equation(name, rms, file)
-    ]
+    range of the file are used."""
+    stated = left.state.stated.leaves
+    for seconds, own in left.by_band.items() if stated else ():
+        for name, rms, file in in_both(own, stated, seconds, LEAST_BLOCKS):
+            yield _of_equation(name, rms, file)
 
 
-def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
-    """Yield one question for an equation: the strongest result over the shares of segments and over
+def _of_equation(name: str, rms: Array, file: Leaves) -> Answer:
+    """Return the answer for an equation: the strongest result over the shares of segments and over
     all bands except the last. rms: (B, bands) of each segment.
 
     In equations with road unevenness, a segment may exceed the model file in all bands by as much
@@ -203,12 +163,11 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Iterator[Question]:
             f"{ROAD_CLASS:g} times as much. Something acts there that the model file does not "
             "contain"
         )
-        structure = Structure(name, LOUDER, float(np.exp(x - own)) / ROAD_CLASS, text)
-        is_large = bool(x - own - lasting[i] > np.log(ROAD_CLASS))
-        chance = _chance(x, k, n, spread[i], lasting[i], known[i])
-        made.append((chance, is_large, structure))
-    p, is_large, structure = min(made, key=lambda q: (not q[1], q[0]))
-    yield Question(min(p * len(made), 1.0), is_large, structure)
+        p = _chance(x, k, n, spread[i], lasting[i], known[i])
+        sure = float(np.exp(x - own - lasting[i]))
+        made.append(Answer(name, float(np.exp(x - own)), ROAD_CLASS, p, text, sure=sure))
+    best = min(made, key=lambda a: (not a.is_large, a.p))
+    return replace(best, p=min(best.p * len(made), 1.0))
 
 
 def _chance(x: float, k: int, n: int, spread: float, lasting: float, known: float) -> float:

@@ -10,7 +10,7 @@ road may be periodic with 4 m and more (concrete slabs), so such wavelengths are
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,11 +18,9 @@ import numpy as np
 from scipy.stats import gamma
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.chance import Question
-from imucald.diagnosis.fit.score import Problem, one_in_fifteen
-from imucald.diagnosis.result import TURNS_WITH_WHEEL, Structure
-from imucald.diagnosis.search.state import State
+from imucald.diagnosis.fit.chance import Answer
+from imucald.diagnosis.fit.score import one_in_fifteen
+from imucald.diagnosis.left_over.remains import DriveResiduals, Remains
 
 ROUND_M = 1.5, 2.3
 """Smallest and largest circumference of a tyre of a passenger car or van [m]: 155/65 R13 has 1.60
@@ -58,28 +56,20 @@ class Stretch:
     """Orthonormal columns (n, q) that were removed."""
 
 
-def orders(problem: Problem, state: State) -> list[Question]:
+def orders(left: Remains) -> Iterator[Answer]:
     """Test whether the speed's residual is periodic with a wheel turn."""
-    return asked_of(state.forwards, problem.fitted_changes())
-
-
-def asked_of(forwards: Sequence[Forward], changes: Mapping[str, float]) -> list[Question]:
-    """Return the questions for drives with their model. changes: fit of the parameters within their
-    box."""
-    some = [s for f in forwards for s in _stretches(f, changes)]
+    some = [s for drive in left.drives for s in _stretches(drive)]
     if len(some) < LEAST_SEGMENTS:
-        return []
+        return
     longest = max(float(s.way[-1] - s.way[0]) for s in some)
     low, high = 1.0 / ROUND_M[1], 1.0 / ROUND_M[0]
-    made = []
     for k in ONCE:
         count = int(FINE * k * (high - low) * longest) + 1
-        made.append(_question(some, np.linspace(k * low, k * high, count), k))
-    return made
+        yield _answer(some, np.linspace(k * low, k * high, count), k)
 
 
-def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
-    """Return the question about the strongest wave. turns: (F,) waves per metre."""
+def _answer(some: Sequence[Stretch], turns: Array, harmonic: int) -> Answer:
+    """Return the answer about the strongest wave. turns: (F,) waves per metre."""
     gains, powers, energies = (np.empty((len(some), len(turns))) for _ in range(3))
     for b, s in enumerate(some):
         gains[b], powers[b], energies[b] = _of_stretch(s, turns)
@@ -97,7 +87,7 @@ def _question(some: Sequence[Stretch], turns: Array, harmonic: int) -> Question:
         f"way, with an amplitude of {100.0 * size:.2g} % of the speed. This is the "
         f"circumference of a wheel; a wheel without faults causes {100.0 * RUN_OUT:.2g} %"
     )
-    return Question(p, size > RUN_OUT, Structure("accel_x", TURNS_WITH_WHEEL, size / RUN_OUT, text))
+    return Answer("accel_x", size, RUN_OUT, p, text)
 
 
 def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
@@ -119,9 +109,9 @@ def _of_stretch(s: Stretch, turns: Array) -> tuple[Array, Array, Array]:
     return -0.5 * free * np.log(1.0 - share), explained - 2.0 * noise, 0.5 * (cc + ss)
 
 
-def _stretches(f: Forward, changes: Mapping[str, float]) -> Iterator[Stretch]:
+def _stretches(drive: DriveResiduals) -> Iterator[Stretch]:
     """Yield, for each segment, the longest part that has all needed data."""
-    found, masks = f.residuals(changes), f.usable()
+    f, _, found, _, masks = drive
     if "accel_x" not in found.of or not f.has_gravity:
         return
     left, mask = found.of["accel_x"].ravel(), masks["accel_x"].ravel()

@@ -20,15 +20,15 @@ from scipy.signal import lfilter
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import model_error, tolerance
+from imucald.diagnosis.direct.faults import PAUSE_S, late_steps
 from imucald.diagnosis.equations.forward import STOPPING_MPS2, Forward
 from imucald.diagnosis.fit.added import AddedRows, level_of, rows_with, whitened
-from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.chance import Question, chance_of_both, chance_of_large, moderated
+from imucald.diagnosis.fit.chance import Answer, chance_of_both, chance_of_large, moderated
 from imucald.diagnosis.fit.intervals import scatters
-from imucald.diagnosis.fit.score import Hypothesis, Problem, what_leaves, without_best
+from imucald.diagnosis.fit.score import without_best
 from imucald.diagnosis.left_over.courses import DELAY, EITHER_SIDE, amount
-from imucald.diagnosis.result import GOES_WITH_ANOTHER, WANDERS, Structure
-from imucald.diagnosis.search.state import State
+from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.trials import SINGLE_NATS
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 from imucald.model.model import VehicleModel
@@ -60,8 +60,6 @@ TO_ONE_SIDE = ("the direction of turning", *(_last("turning", n) for n in LARGE)
 """Conditions that change sign when left and right are exchanged. A vehicle is symmetric in this
 respect."""
 STAMPS = "the deviation of its time stamps from a constant cycle"
-PAUSE_S = 10.0
-"""Gap [s] after which a sender starts again at any phase of its cycle."""
 ENDS = (0.05, 0.95)
 BEYOND = 0.5
 """Distance beyond the two percentiles up to which a condition is followed, relative to the distance
@@ -133,22 +131,11 @@ Asked = tuple[Error, str]
 """An error, and a condition on which the error may depend."""
 
 
-def pairs(problem: Problem, state: State, drift: Hypothesis | None) -> list[Question]:
-    """Return one question for each error of a sensor with each condition. drift: a named drift,
-    which has no place in the model file and differs in each segment."""
-    table = problem.table
-    fitted = np.tile(problem.fit(), (sum(f.blocks for f in state.forwards), 1))
-    fitted[table.number] = -what_leaves(problem, drift)[:, 1:]
-    return asked_of(state.forwards, state.model, table, fitted)
-
-
-def asked_of(
-    forwards: Sequence[Forward], model: VehicleModel, table: Table, x: Array
-) -> list[Question]:
-    """Return the questions for drives with a model file and its table. x: (all blocks, P) parameter
-    differences that fit each segment."""
+def pairs(left: Remains) -> Iterator[Answer]:
+    """Yield one answer for each error of a sensor with each condition."""
+    forwards, model, table = left.state.forwards, left.state.model, left.table
     if not all(f.has_gravity for f in forwards):
-        return []  # the road's slope is not removed and correlates with anything
+        return  # the road's slope is not removed and correlates with anything
     some = [conditions(f) for f in forwards]
     asked = [
         (error, name)
@@ -157,12 +144,14 @@ def asked_of(
         for name in some[0]
         if all(name in each for each in some) and _can_be_asked(error, name)
     ]
-    each = iter(some)
+    blocks, each = sum(f.blocks for f in forwards), iter(some)
+    if not asked or blocks < LEAST_BLOCKS:
+        return
     parts = rows_with(forwards, model, table, lambda f: _added(f, model, asked, next(each)))
-    if not asked or sum(f.blocks for f in forwards) < LEAST_BLOCKS:
-        return []
+    x = np.tile(left.problem.fit(), (blocks, 1))  # differences that fit each segment
+    x[table.number] = -left.z[:, 1:]
     prior = np.diag(PRIOR / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
-    return list(_questions(asked, *_scores(parts, x, prior), model))
+    yield from _answers(asked, *_scores(parts, x, prior), model)
 
 
 def _can_be_asked(error: Error, condition: str) -> bool:
@@ -263,12 +252,10 @@ def _by_part(a: Array, b: Array) -> Array:
     return np.asarray(product.reshape(len(a), PARTS, a.shape[1] // PARTS, -1).sum(axis=2))
 
 
-# questions ---------------------------------------------------------------------------------------
+# answers -----------------------------------------------------------------------------------------
 
 
-def _questions(
-    asked: Sequence[Asked], u: Array, h: Array, model: VehicleModel
-) -> Iterator[Question]:
+def _answers(asked: Sequence[Asked], u: Array, h: Array, model: VehicleModel) -> Iterator[Answer]:
     there = h.sum(axis=(1, 2)) > 0.0
     u, h = u[there], h[there]
     tests: list[tuple[Error, str, PairTest]] = []
@@ -285,21 +272,20 @@ def _questions(
     )
     for (error, condition, test), scatter, count in zip(tests, over, free, strict=True):
         may = EITHER_SIDE * may_be(error, condition, model)
-        value, sigma, p = test.value, test.sigma(scatter), test.chance(scatter, count)
-        # The value minus one standard deviation counts.
-        is_large = abs(value) * (1.0 - 1.0 / max(sigma, 1.0)) > may and test.gain > SINGLE_NATS
-        size = amount(error.key, value) if error.key else f"{value:.2g} m/s"
+        value, sigma = abs(test.value), test.sigma(scatter)
+        size = amount(error.key, test.value) if error.key else f"{test.value:.2g} m/s"
         text = (
             f"{error.text} changes with {condition}: by {size} from one end to the other, "
-            f"{sigma:.1f} σ ({abs(value) / may:.1f} times the limit of a correct file)"
+            f"{sigma:.1f} σ ({value / may:.1f} times the limit of a correct file)"
         )
-        by_clock = condition == STAMPS
-        structure = Structure(
-            error.signal, WANDERS if by_clock else GOES_WITH_ANOTHER, abs(value) / may, text,
-            DELAY if by_clock else "",
+        yield Answer(
+            error.signal, value, may, test.chance(scatter, count), text,
+            DELAY if condition == STAMPS else "",
+            # The value minus one standard deviation counts, if unseen data confirm it.
+            sure=value * (1.0 - 1.0 / max(sigma, 1.0)) if test.gain > SINGLE_NATS else 0.0,
+            rare=chance_of_large(may, value / max(sigma, 1e-300), float(count)),
+            kind=Kind.WANDERS if condition == STAMPS else "",
         )  # fmt: skip
-        se = abs(value) / max(sigma, 1e-300)
-        yield Question(p, is_large, structure, chance_of_large(may, se, float(count)))
 
 
 @dataclass(frozen=True)
@@ -449,8 +435,8 @@ def off_cycle(t: Array) -> Array:
     """
     steps = np.diff(t)
     cycle = float(np.median(steps))
-    late = steps - cycle * np.maximum(np.round(steps / cycle), 1.0)
-    late[steps > PAUSE_S] = 0.0
+    late = late_steps(steps, cycle)
+    late[steps > PAUSE_S] = 0.0  # a sender starts again at any phase of its cycle
     total = np.concatenate([[0.0], np.cumsum(late)])
     line = np.column_stack([np.ones(len(t)), t - t.mean()])
     return np.asarray(total - line @ np.linalg.lstsq(line, total, rcond=None)[0])

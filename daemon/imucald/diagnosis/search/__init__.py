@@ -2,8 +2,8 @@
 outside its fit.
 
 `trials` tests each hypothesis with its parameters freed. `search` selects the best hypothesis, step
-by step. `standing` tests each named cause again together with the others. `shift` looks for a
-sensor that is rotated in the middle of a drive. `low_pass` distinguishes low-pass filters from
-delays. `state` has the present results and the model with these results. Modules of this package
-call `fit` and `equations`. `left_over` and the modules of `diagnosis` call this package.
+by step, and tests each named cause again together with the others. `shift` looks for a sensor that
+is rotated in the middle of a drive. `low_pass` distinguishes low-pass filters from delays. `state`
+has the present results and the model with these results. Modules of this package call `fit` and
+`equations`. `left_over` and the modules of `diagnosis` call this package.
 """

@@ -25,12 +25,13 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.causes import BY_NAME, CAUSES
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.equations.single_track import Complex, frequencies
 from imucald.diagnosis.fit.added import level_of, rows_with, whitened
 from imucald.diagnosis.fit.blocks import late_signals
 from imucald.diagnosis.fit.score import REACH, Problem, held_out, without_best
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import ALIKE_SE, Trial
+from imucald.drive.equations import Complex
+from imucald.drive.single_track import frequencies
 from imucald.mount.mount_words import SD_95
 
 ORDERS = 1, 2

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
-from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
@@ -43,7 +43,6 @@ class FittedShift:
     gain: Array
     """Held-out nats (B,)."""
     shown: float
-    pattern: Array
     low_s: float
     high_s: float
     """End of the interval of time in which the rotation happened."""
@@ -150,5 +149,5 @@ def _shift(
         low, high = float(table.start_s[place - 1]), start
     return FittedShift(
         kind, start, turn, se, quantile(table.blocks, 3), gain,
-        without_best(gain) + nats, pattern, low, high,
+        without_best(gain) + nats, low, high,
     )  # fmt: skip

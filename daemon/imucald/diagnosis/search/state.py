@@ -163,14 +163,10 @@ def refit(state: State) -> None:
         problem = state.evaluated()
         x = problem.fit()
         keys = [k for k in state.free if k in problem.table.keys]
-        moves = {k: float(x[problem.table.keys.index(k)]) for k in keys}
-        state.apply(moves)
-        if all(abs(v) < SMALL_STEP * _size(problem, k) for k, v in moves.items()):
+        index = problem.table.index(keys)
+        state.apply(dict(zip(keys, x[index].tolist(), strict=True)))
+        if np.all(np.abs(x[index]) < SMALL_STEP * problem.table.tolerance[index]):
             break
-
-
-def _size(problem: Problem, key: str) -> float:
-    return float(problem.table.tolerance[problem.table.keys.index(key)])
 
 
 def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:

@@ -127,9 +127,9 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
     """Return hypotheses for the catalogue's causes whose signals are present. skip: parameters that
     are not tested. The other components of the same vector are tested."""
     made = []
+    exact = {key for key, tau in zip(table.keys, table.tolerance, strict=True) if tau == 0.0}
+    shown = table.shown - exact
     for cause in CAUSES:
-        if cause.drift and f"{cause.name}!" in skip:
-            continue
         for whole in (*cause.variants, *([cause.together] if cause.together else [])):
             if not all(key in table.keys for key in whole):
                 continue
@@ -137,9 +137,7 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
             # later. Leading parameters, common values and drifts are asked as a whole.
             fixed = whole if cause.drift or whole == cause.together else whole[: cause.lead]
             keys = fixed + tuple(k for k in whole[len(fixed) :] if k not in skip)
-            if (set(fixed) & set(skip) and not cause.drift) or not any(
-                _shows(table, key) for key in keys
-            ):
+            if (set(fixed) & set(skip) and not cause.drift) or not set(keys) & shown:
                 continue
             beside = dict(cause.with_it)
             if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
@@ -147,11 +145,6 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
             level = cause.name in LEVELLED and not set(BIAS) & set(skip)
             made.append(_hypothesis(cause, keys, model, table, level))
     return made
-
-
-def _shows(table: Table, key: str) -> bool:
-    i = table.keys.index(key) + 1
-    return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
 
 
 def _hypothesis(

@@ -24,6 +24,7 @@ from imucald.core.rotations import (
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
+from imucald.drive import equations as eq
 from imucald.drive import windows as wd
 from imucald.drive.roads import SLOPE_M, mean_slopes, slope_way, without_bend
 from imucald.drive.speed_knots import known_times, means_between
@@ -376,7 +377,7 @@ class Evidence:
         evidence for this rotation.
         """
         self._taken = np.zeros(UNKNOWNS)
-        self._late, self._lever_arm = late, np.array(lever_arm)
+        self._late, self._lever_arm = late, lever_arm
         self.delay, self.delay_std = late.mean, math.inf
         self._later = 0.0  # change of the delay that the last fit asks for
         self.gains = (1.0, 1.0)
@@ -610,12 +611,10 @@ class Evidence:
             rate = np.zeros((len(force), 3))
             rate[:, 2] = self._in_time(first, stop, lambda b: b.rate[:, 2], self.signals.late)
             rate[:, :2] = _leaning(speed * rate[:, 2], accel)
-        motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
-        if self._lever_arm.any():
+        if any(self._lever_arm):
             turning = np.gradient(rate, TICK_S, axis=0)
-            force -= np.cross(turning, self._lever_arm)
-            force -= np.cross(rate, np.cross(rate, self._lever_arm))
-        return force, rate, speed, accel, motion
+            force -= np.column_stack(eq.of_lever(_axes(rate), _axes(turning), self._lever_arm))
+        return force, rate, speed, accel, eq.of_motion(accel, speed, rate)
 
     def _take(self, first: int, stop: int) -> None:
         """Compute the windows whose last blocks are the blocks `first` to `stop` - 1."""
@@ -627,7 +626,7 @@ class Evidence:
             level, more = force - motion, np.zeros((len(use), 0))
         else:
             force, rate, speed, accel, level, more = self._eliminated(first, stop, use)
-            motion = np.column_stack([accel, speed * rate[:, 2], -speed * rate[:, 1]])
+            motion = eq.of_motion(accel, speed, rate)
         if self.signals.gyro:
             up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
         else:
@@ -1173,9 +1172,11 @@ def _leaning(lateral: Array, accel: Array) -> Array:
     """Return the roll rate and the pitch rate (N, 2) [rad/s] of a body that leans in proportion to
     v r (speed times yaw rate) and dv/dt. lateral: (N,) v r [m/s^2]. accel: (N,) dv/dt [m/s^2].
     """
-    return np.column_stack(
-        [ROLLS * np.gradient(lateral, TICK_S), -PITCHES * np.gradient(accel, TICK_S)]
-    )
+    return np.column_stack([eq.rolling(lateral, ROLLS), -eq.pitching(accel, PITCHES, PITCHES)])
+
+
+def _axes(x: Array) -> eq.Axes:
+    return x[:, 0], x[:, 1], x[:, 2]
 
 
 def _by_window(x: NDArray[Any]) -> NDArray[Any]:

@@ -1,4 +1,5 @@
-"""Response of the yaw rate to the steering angle: a linear single-track model with tyre relaxation.
+"""Tyres of a car: its sideslip, and its yaw rate from the steering angle, by a linear single-track
+model with tyre relaxation.
 
 The model uses S_k = a^k C_f + (-b)^k C_r, and h = 1 + s sigma/v for the build-up of the tyre force:
 
@@ -9,15 +10,16 @@ The model uses S_k = a^k C_f + (-b)^k C_r, and h = 1 + s sigma/v for the build-u
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.diagnosis.equations.once import Once
-from imucald.diagnosis.signals import STEP_S
+from imucald.drive.equations import Complex
 from imucald.model.vehicle import STEERING_GEAR_S, Chassis
+from imucald.motion.ticks import TICK_S
 
-Complex = NDArray[np.complex128]
 SLOW_MPS = 2.5
 """Speed [m/s] below which play and tyres determine the yaw rate, and not the steering angle."""
 RELAXATION_M = 0.4
@@ -27,16 +29,19 @@ LEVEL_MPS = 4.0
 these speeds."""
 
 
+def _called(make: Callable[..., Any], *inputs: Any) -> Any:
+    return make(*inputs)
+
+
 def followed_angle(
-    steer: Array, speed: Array, chassis: Chassis, gradient: float, once: Once | None = None
-) -> Array:
+    steer: Array, speed: Array, chassis: Chassis, gradient: float,
+    once: Callable[..., Any] = _called,
+) -> Array:  # fmt: skip
     """Return the steering angle that the yaw rate has followed. The gain is 1 for a steady angle.
 
-    steer: (N,) [rad], speed: (N,) [m/s], both at intervals of `STEP_S`. gradient: understeer
-    gradient [rad/(m/s^2)]. once: keeps results that do not depend on the speed, or do not depend on
-    the angle.
+    steer: (N,) [rad], speed: (N,) [m/s], both at intervals of `TICK_S`. gradient: understeer
+    gradient [rad/(m/s^2)]. once: calls a function, and may keep its result.
     """
-    once = once or Once({}, True)
     spectrum = once(spectrum_of, steer)
     place = np.maximum(speed, SLOW_MPS) / LEVEL_MPS
     made = np.zeros(len(steer))
@@ -51,7 +56,7 @@ def followed_angle(
 def frequencies(n: int) -> Complex:
     """Return s = i w (n + 1,) [rad/s] for n samples of the grid. The series of samples is mirrored
     at its end."""
-    return np.asarray(2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S))
+    return np.asarray(2j * np.pi * np.fft.rfftfreq(2 * n, TICK_S))
 
 
 def spectrum_of(steer: Array) -> Complex:
@@ -91,3 +96,22 @@ def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
     c = chassis
     inertia = c.yaw_inertia_kgm2 / (c.mass_kg * c.cg_to_front_m)
     return (inertia - c.cg_to_rear_m - RELAXATION_M) / np.maximum(np.abs(speed), SLOW_MPS) + slip
+
+
+def sideways(v: Array, r: Array, t: Array, kappa: float, chassis: Chassis) -> Array:
+    """Return the lateral speed of the reference point."""
+    slip = kappa * np.abs(v)
+    late = slip_delay(v, slip, chassis)
+    return np.asarray(chassis.cg_to_rear_m * r - slip * v * np.interp(t - late, t, r))
+
+
+def single_track(
+    v: Array, steer: Array, leaning: Array, ratio: float, gradient: float, varying: float,
+    wheelbase_m: float,
+) -> Array:  # fmt: skip
+    """Return the yaw rate from the steering angle, r = v (delta - K f_lean)/(L + K v^2), with the
+    sideways force of the road's lean."""
+    angle = np.clip(steer / ratio, -1.2, 1.2)
+    angle = angle + varying * angle**3
+    turn = np.tan(angle) - gradient * leaning
+    return np.asarray(v * turn / np.maximum(wheelbase_m + gradient * v * v, 0.3))

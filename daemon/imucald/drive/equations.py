@@ -1,4 +1,12 @@
-"""Parts of the equations, as pure functions of arrays (N,) or (N, 3) on the time grid."""
+"""The equations of motion of a car and of a sensor in it, as pure functions of arrays (N,).
+
+    f_x = dv/dt - r v_y + g u_x     f_y = v r + dv_y/dt + g u_y     f_z = g - v q
+    f(sensor) = f + w' x l + w x (w x l)
+    p = d(roll v r)/dt              q = -d(squat dv/dt)/dt          of a body on its springs
+
+Vehicle axes: x forward, y left, z up. f: force, w = (p, q, r): angular rate, l: lever arm, u: the
+vertical, v_y: lateral speed. All signals are on the grid of ticks, a tenth of a second apart.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +17,9 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.equations.single_track import Complex, slip_delay
-from imucald.diagnosis.signals import STEP_S
-from imucald.model.vehicle import Chassis
+from imucald.motion.ticks import TICK_S
 
+Complex = NDArray[np.complex128]
 Axes = tuple[Array, Array, Array]
 """Components (N,) along each of the vehicle's axes."""
 SMOOTH_STEPS = 5
@@ -23,13 +30,8 @@ TRANSITION_S = 2.0
 """Travel time over which superelevation is built up along a transition curve [s]: two seconds of
 travel (desirable length of a spiral, AASHTO, A Policy on Geometric Design of Highways and Streets).
 """
-TRANSITION = np.hanning(round(TRANSITION_S / STEP_S) + 1)
+TRANSITION = np.hanning(round(TRANSITION_S / TICK_S) + 1)
 TRANSITION /= TRANSITION.sum()
-
-
-def column(x: Array, i: int) -> Array:
-    """Return one axis (N,) of x (N, 3), as a contiguous array."""
-    return np.ascontiguousarray(x[:, i])
 
 
 def speed(t: Array, knots: Array, shown: Array, scale: float) -> Array:
@@ -43,30 +45,26 @@ def mean_slope(x: Array, t: Array) -> Array:
     return np.asarray(np.diff(x) / np.diff(t))
 
 
-def of_lever(x: Array, y: Array, z: Array, lever: tuple[float, float, float]) -> Axes:
+def of_motion(accel: Array, v: Array, rate: Array) -> Array:
+    """Return the force (N, 3) of a motion without lateral speed. accel: dv/dt. rate: (N, 3)."""
+    return np.column_stack([accel, v * rate[:, 2], -v * rate[:, 1]])
+
+
+def of_lever(rate: Axes, turning: Axes, lever: tuple[float, float, float]) -> Axes:
     """Return the acceleration of a point at `lever` relative to the reference point: w' x l + w x
-    (w x l). x, y, z: angular rates about the axes x, y and z."""
-    w = x, y, z
-    turning = _cross((slope(x), slope(y), slope(z)), lever)
-    round_it = _cross(w, _cross(w, lever))
-    return turning[0] + round_it[0], turning[1] + round_it[1], turning[2] + round_it[2]
+    (w x l). rate: w, turning: w'."""
+    (x, y, z), round_it = _cross(turning, lever), _cross(rate, _cross(rate, lever))
+    return x + round_it[0], y + round_it[1], z + round_it[2]
 
 
 def _cross(a: Axes, b: Axes | tuple[float, float, float]) -> Axes:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def sideways(v: Array, r: Array, t: Array, kappa: float, chassis: Chassis) -> Array:
-    """Return the lateral speed of the reference point."""
-    slip = kappa * np.abs(v)
-    late = slip_delay(v, slip, chassis)
-    return np.asarray(chassis.cg_to_rear_m * r - slip * v * np.interp(t - late, t, r))
-
-
 def between_knots(x: Array, knots: Array, t: Array) -> Array:
     """Return the mean of x between successive knots."""
-    area = np.cumsum(x) * STEP_S
-    return np.asarray(np.diff(np.interp(knots, t + 0.5 * STEP_S, area)) / np.diff(knots))
+    area = np.cumsum(x) * TICK_S
+    return np.asarray(np.diff(np.interp(knots, t + 0.5 * TICK_S, area)) / np.diff(knots))
 
 
 def step_of(knots: Array, t: Array) -> NDArray[np.int64]:
@@ -112,26 +110,33 @@ def upward(force: Array, v: Array, q: Array) -> Array:
     return np.asarray(force - GRAVITY + v * q)
 
 
-def rolling(across: Array, t: Array, roll: float, late: float, superelevation: float) -> Array:
-    """Return the roll rate that sideways acceleration causes. roll: roll gradient [rad/(m/s^2)]."""
+def rolling(
+    across: Array, roll: float, superelevation: float = 0.0, t: Array | None = None,
+    late: float = 0.0,
+) -> Array:  # fmt: skip
+    """Return the roll rate that sideways acceleration causes. roll: roll gradient [rad/(m/s^2)]. t,
+    late: times and delay of the body [s]; without times there is no delay."""
     leaning = roll * later(across, t, late)
     if superelevation:
         # The road in a curve leans inward with the curvature; a transition curve spreads this over
         # time.
         leaning -= superelevation * np.convolve(across, TRANSITION, "same")
-    return np.asarray(np.gradient(leaning, STEP_S))
+    return np.asarray(np.gradient(leaning, TICK_S))
 
 
-def pitching(along: Array, t: Array, squat: float, dive: float, late: float) -> Array:
-    """Return the pitch rate, nose up, that forward acceleration causes."""
+def pitching(
+    along: Array, squat: float, dive: float, t: Array | None = None, late: float = 0.0
+) -> Array:
+    """Return the pitch rate, nose up, that forward acceleration causes. squat, dive: gradients
+    [rad/(m/s^2)]. t, late: as in `rolling`."""
     nose_up = squat * np.maximum(along, 0.0) + dive * np.minimum(along, 0.0)
-    return np.asarray(np.gradient(later(nose_up, t, late), STEP_S))
+    return np.asarray(np.gradient(later(nose_up, t, late), TICK_S))
 
 
-def later(x: Array, t: Array, late: float) -> Array:
+def later(x: Array, t: Array | None, late: float) -> Array:
     """Return a quantity with the delay of the vehicle body. The body responds as a damped spring,
     with the delay 2 zeta / omega well below its natural frequency."""
-    return np.asarray(np.interp(t - late, t, x))
+    return x if t is None else np.asarray(np.interp(t - late, t, x))
 
 
 def slow(x: Array) -> Array:
@@ -146,34 +151,17 @@ def beside_wheels(v: Array, shown: Array, own: tuple[float, ...], scale: float) 
     return np.asarray(np.abs(v) - wheels[:, 2:].mean(axis=1) / scale)
 
 
-def turning_by(rate: Array | None, steered: Array) -> Array:
-    """Return the angular rate (N, 3) with its yaw rate replaced by `steered`."""
-    level = np.zeros((len(steered), 2)) if rate is None else rate[:, :2]
-    return np.column_stack([level, steered])
-
-
-def single_track(
-    v: Array, steer: Array, leaning: Array, ratio: float, gradient: float, varying: float,
-    wheelbase_m: float,
-) -> Array:  # fmt: skip
-    """Return the yaw rate from the steering angle, see `VehicleMotion._by_steering`."""
-    angle = np.clip(steer / ratio, -1.2, 1.2)
-    angle = angle + varying * angle**3
-    turn = np.tan(angle) - gradient * leaning
-    return np.asarray(v * turn / np.maximum(wheelbase_m + gradient * v * v, 0.3))
-
-
 def slope(x: Array) -> Array:
     """Return the slope of x (N,) on the grid [1/s], to fourth order. The slope is exact to 0.5 % up
     to 1 Hz. A simple difference of two neighbours is 6.5 % too small at 1 Hz."""
     padded = np.concatenate([x[:1], x[:1], x, x[-1:], x[-1:]])
     near, far = padded[3:-1] - padded[1:-3], padded[4:] - padded[:-4]
-    return np.asarray((8.0 * near - far) / (12.0 * STEP_S))
+    return np.asarray((8.0 * near - far) / (12.0 * TICK_S))
 
 
 def from_middle(x: NDArray[Any]) -> NDArray[Any]:
     """Return the integral from the middle of each block (B, n), by trapezoids."""
-    area = np.cumsum(0.5 * (x[:, 1:] + x[:, :-1]), axis=1) * STEP_S
+    area = np.cumsum(0.5 * (x[:, 1:] + x[:, :-1]), axis=1) * TICK_S
     area = np.concatenate([np.zeros_like(x[:, :1]), area], axis=1)
     made: NDArray[Any] = area - area[:, x.shape[1] // 2, None]
     return made

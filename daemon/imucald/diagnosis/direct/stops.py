@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import mounts, sensor_of, tolerance
-from imucald.diagnosis.causes import DEG
-from imucald.diagnosis.signals import DriveSignals
+from imucald.diagnosis.signals import CHANCE, DriveSignals
 from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
@@ -22,7 +22,6 @@ LEAST_SE = 0.04 * DEG
 """Accuracy of the zero error from one or two stops [rad/s]. Between the stops of one measured
 drive, the zero error differs by 0.03 deg/s."""
 FINEST_SE = 0.004 * DEG
-CHANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -45,26 +44,24 @@ class Rest:
         """Return the error (3,) that a correct model file may have at these stops [rad/s]. The
         error is the tolerance of the zero error, plus the tolerance of its temperature slope times
         the temperature difference."""
-        return np.array(
-            [
-                tolerance(model, f"gyro.bias.{axis}")
-                + tolerance(model, f"gyro.bias_temperature.{axis}") * abs(self.kelvin)
-                for axis in "xyz"
-            ]
-        )
+        return _tolerances(model, "gyro.bias") + self._by_temperature(model)
+
+    def _by_temperature(self, model: VehicleModel) -> Array:
+        return _tolerances(model, "gyro.bias_temperature") * abs(self.kelvin)
 
     def bounds(self, model: VehicleModel) -> dict[str, tuple[float, float]]:
         """Return limits of the zero error for the fit [rad/s]. The limits are the interval of the
         zero error at stops, widened by the tolerance of its temperature slope times the temperature
         difference."""
-        half = self.quantile * self.se
-        half = half + np.array(
-            [tolerance(model, f"gyro.bias_temperature.{axis}") for axis in "xyz"]
-        ) * abs(self.kelvin)
+        half = self.quantile * self.se + self._by_temperature(model)
         return {
             f"gyro.bias.{axis}": (float(x - h), float(x + h))
             for axis, x, h in zip("xyz", self.rate, half, strict=True)
         }
+
+
+def _tolerances(model: VehicleModel, key: str) -> Array:
+    return np.array([tolerance(model, f"{key}.{axis}") for axis in "xyz"])
 
 
 def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int) -> Rest | None:
