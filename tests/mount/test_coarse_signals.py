@@ -106,6 +106,21 @@ def test_a_doubted_zero_of_the_gyroscope_serves_until_another_can_be_guessed() -
         assert np.allclose(offsets.gyro_bias, -0.02 if is_last else 0.01, atol=1e-3)
 
 
+@pytest.mark.parametrize("zero_of_yaw_rate", [0.0, 0.008])
+def test_a_bend_at_the_beginning_is_no_zero_of_the_gyroscope(zero_of_yaw_rate: float) -> None:
+    """The first half minute is a slip road; the vehicle's yaw rate has a zero error itself."""
+    offsets, rng = Offsets(), np.random.default_rng(2)
+    zero, up = np.array([0.01, -0.005, 0.008]), np.array([0.36, -0.48, 0.8])
+    for k in range(10):
+        turn = 0.17 * np.linspace(0.8, 1.2, 50) if k < 6 else np.zeros(50)
+        lean = np.array([0.8, 0.6, 0.0]) * (1.8 if k < 6 else 0.0)
+        rate = zero + turn[:, None] * up + 0.02 * rng.standard_normal((50, 3))
+        offsets.guess_gyro(rate, np.tile(9.81 * up + lean, (50, 1)), turn + zero_of_yaw_rate)
+        if k >= GUESS_TICKS // 50:
+            assert np.abs(offsets.gyro_bias - zero).max() < 0.02
+    assert np.abs(offsets.gyro_bias - zero).max() < 0.01
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not REMOUNTED.exists(), reason="the small inputs are absent")
 def test_a_log_whose_sensor_is_turned_by_40_degrees_shows_one_move_and_is_usable_again() -> None:
