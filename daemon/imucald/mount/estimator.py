@@ -353,7 +353,7 @@ class JointEstimator:
         block = _block(p, target.signals)
         known = bool(p.ok_rate.any())
         if known and not self._has_zero:
-            target.subtract_rate_zero(p.gyro_bias)
+            target.subtract_rate_zero(p.gyro_bias, p.turn_zero_std)
         self._has_zero = self._has_zero or known
         if self._now <= self._taken_until:  # after a move it was among those that count
             return
@@ -862,7 +862,8 @@ def _block(p: SignalBlock, signals: OtherSignals) -> Block:
         use &= p.had_rate
         known = bool(p.ok_rate.any())
         of_rate = known, p.gyro_bias, p.rate_walk
-        return Block(p.force, p.rate, speed, use, *of_rate, knots, p.least_speed, p.rest)
+        of_drive = knots, p.least_speed, p.rest
+        return Block(p.force, p.rate, speed, use, *of_rate, *of_drive, p.turn_zero_std)
     if signals.turns:
         use &= p.ok_yaw
     rate = np.zeros_like(p.rate)

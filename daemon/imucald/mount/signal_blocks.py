@@ -101,6 +101,7 @@ class SignalBlock(Struct):
     least_speed: float = 0.0  # the vehicle may creep this fast at a speed signal of zero [m/s]
     speed_knots: Array | None = None  # (K,) times of known speeds [ticks since the block began]
     has_speed: bool = True  # False: no speed was ever received, `nominal_speed` is used
+    turn_zero_std: float = 0.0  # deviation of gyro_bias about the vertical [rad/s]
     direction: float = 1.0  # -1 while the reverse gear is engaged
 
     @property
@@ -475,5 +476,5 @@ class SignalBlockMaker:
             turn = np.where(p.ok_yaw, p.yaw_rate, 0.0)
             if not offsets.guess_gyro(p.rate[use], p.force[use], turn[use]):
                 p.ok_rate = np.zeros_like(p.ok_rate)
-        p.gyro_bias = offsets.gyro_bias.copy()
+        p.gyro_bias, p.turn_zero_std = offsets.gyro_bias.copy(), offsets.turn_zero_std
         p.rate -= p.gyro_bias

@@ -283,7 +283,8 @@ class Block(NamedTuple):
     rate [rad/s]. rate_walk: (3, 3) growth of the variance of an angle that is integrated from the
     rate [rad^2/s]. knots: (K,) times at which the speed is known [ticks since the start of the
     block]. least_speed: smallest speed that the speed signal shows [m/s]. rest: (64,) True while
-    the vehicle is as still as a parked vehicle.
+    the vehicle is as still as a parked vehicle. turn_zero_std: deviation of `rate_zero` about the
+    vertical [rad/s].
     """
 
     force: Array
@@ -296,6 +297,7 @@ class Block(NamedTuple):
     knots: Array = MIDDLES
     least_speed: float = 0.0
     rest: Flags = NO_REST
+    turn_zero_std: float = 0.0
 
 
 class Solution(NamedTuple):
@@ -492,17 +494,22 @@ class Evidence:
         if len(self._blocks) > MOST_BLOCKS:
             self._forget(len(self._blocks) - KEPT_BLOCKS)
 
-    def subtract_rate_zero(self, zero: Array) -> None:
+    def subtract_rate_zero(self, zero: Array, std: float = 0.0) -> None:
         """Subtract the measured zero error (3,) of the rate [rad/s] from the blocks before the
         measurement.
 
         A guess of the zero error was subtracted from these blocks. The measured value replaces the
-        guess.
+        guess. std: deviation of the value about the vertical [rad/s].
         """
         self._blocks = [
             b
             if b.is_rate_known
-            else b._replace(rate=b.rate + b.rate_zero - zero, is_rate_known=True, rate_zero=zero)
+            else b._replace(
+                rate=b.rate + b.rate_zero - zero,
+                is_rate_known=True,
+                rate_zero=zero,
+                turn_zero_std=std,
+            )
             for b in self._blocks
         ]
         if self._axes is not None:
@@ -1087,6 +1094,10 @@ class Evidence:
         (mean,), (variance,) = mean_slopes(levels[:, :4], whole, priors.slope)
         if self.signals.bend:
             mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
+        stds = np.array([b.turn_zero_std for b in self._blocks[: len(levels)]])
+        if stds.any():  # a zero of the turn rate is a lateral force in proportion to the speed
+            turned = np.sqrt(levels[:, 2] * levels[:, 4] / GRAVITY) @ stds
+            variance[1] += (turned / max(levels[:, 2].sum(), 1e-9)) ** 2
         if not self.signals.speed:  # the mean of dv/dt is as uncertain as the speed at both ends
             ends = math.hypot(self._unknown.std, FIRST_STD)
             variance[0] += (ends / (GRAVITY * self.seconds)) ** 2
