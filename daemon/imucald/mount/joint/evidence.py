@@ -952,19 +952,21 @@ class Evidence:
         return self._applied(theta, covariance, same, against)
 
     def _refine_delay(self, answers: Responses) -> None:
-        """Compute the remaining error of the delay, and its deviation: the response of the forward
-        force to the jerk. If the speed has few samples, only this response uses the motion between
-        them as the fit does.
+        """Compute the remaining error of the delay and its deviation, from the response of the
+        forward force to the jerk.
+
+        The phase between force and dv/dt is not used: if the speed has few samples, this phase is
+        wrong at frequencies above half of the sample rate.
         """
         prior, variance = self._late.std**2, float(answers.model[0, JERK])
         variance *= float(answers.covariance[0, 0, 0] / answers.model[0, 0])
         # the prior of the response is in it: it is replaced by the prior of the delay
         variance = 1.0 / max(1.0 / variance - 1.0 / SPREAD[0, JERK - len(wd.MAIN)] ** 2, 1e-6)
-        found = -float(answers.vector[0, 1 + JERK])
+        mean, reach = self._late.mean, REACH * self._late.std
         share = prior / (prior + variance)
-        later = share * found + (1.0 - share) * (self._late.mean - self.delay)
-        low, high = MIN_SPEED_DELAY - self.delay, MAX_SPEED_DELAY - self.delay
-        self._later = min(max(later, low), high)
+        found = self.delay - float(answers.vector[0, 1 + JERK])
+        low, high = max(mean - reach, MIN_SPEED_DELAY), min(mean + reach, MAX_SPEED_DELAY)
+        self._later = min(max(share * found + (1.0 - share) * mean, low), high) - self.delay
         self.delay_std = math.sqrt(share * variance)
 
     def _answer_row(self, i: int, j: int) -> Array:
