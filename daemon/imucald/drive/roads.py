@@ -19,9 +19,8 @@ LONGER_ABOVE = 15.0
 The length of crests and sags is designed for the sight distance at the design speed (assumption).
 In the rules of AASHTO, the length grows more than in proportion to the speed.
 """
-PRIOR_STRETCHES = 5.0
-"""Weight of the expected spread between stretches of road against the measured spread, in
-stretches.
+PRIOR_SEGMENTS = 5.0
+"""Weight of the expected spread between road segments against the measured spread, in segments.
 
 The value was chosen on the drives that are listed in `mount.joint.state.Priors`.
 """
@@ -67,7 +66,7 @@ def mean_slopes(blocks: Array, parts: NDArray[np.int_], slope: float) -> tuple[A
         each = np.bincount(at_place, off.ravel(), rows.size * most).reshape(-1, 2, most)
         found = (each**2).sum(axis=2) + (each[:, :, 1:] * each[:, :, :-1]).sum(axis=2)
         ratio = found * n / np.maximum(n - 1.0, 1.0) / np.maximum(weight, 1e-9) ** 2 / expected
-        found_grow = (PRIOR_STRETCHES + n * ratio) / (PRIOR_STRETCHES + n)
+        found_grow = (PRIOR_SEGMENTS + n * ratio) / (PRIOR_SEGMENTS + n)
         grow = np.where(n > 1.0, np.maximum(grow, found_grow), grow)
     return mean, expected * grow
 

@@ -159,7 +159,7 @@ class Piece(NamedTuple):
     @classmethod
     def of(cls, sums: PairSums) -> Piece:
         """Return the piece with these sums."""
-        _, xx, xy, yy, *_ = sums
+        xx, xy, yy = sums.xx, sums.xy, sums.yy
         correlation = xy / math.sqrt(max(xx * yy, 1e-30))
         return cls(correlation, xy / xx, yy / xy if xy else math.inf)
 

@@ -55,6 +55,7 @@ from imucald.mount.joint.state import (
     CROWN,
     EPS,
     IN_BENDS,
+    LAG,
     NO_TURN,
     OFF,
     PHI,
@@ -110,8 +111,10 @@ MOST_LEFT = 0.01
 MOST_LATE = 0.03
 """Change of the speed's delay [s] from which the windows are computed again."""
 FAR = 0.4
-"""Change of the speed's delay [s] from which the search is believed against the fit. The fit is
-linear in the delay.
+"""Change of the speed's delay [s] from which the search is used in place of the fit.
+
+The fit is linear in the delay, and its prior deviation of the delay is 0.15 s. The limit is between
+two and three of these deviations.
 """
 DELAY_STEP = 0.02
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, DELAY_STEP)
@@ -140,9 +143,9 @@ USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
 """Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
 SPREAD: Final = np.array(
     [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
-        [0.1, 0.15, 0.05, 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0]],
-        [0.1, 0.05, 0.15, 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1]],
-        [0.5, 0.05, 0.05, 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2]],
+        [0.1, 0.15, LAG[0], 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0]],
+        [0.1, 0.05, LAG[1], 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1]],
+        [0.5, 0.05, LAG[2], 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2]],
     ]
 )
 """Prior standard deviations of the nuisance coefficients for each axis of the force.
@@ -812,17 +815,18 @@ class Evidence:
         v, a = (np.concatenate(part) for part in zip(*motion, strict=True))
         if use.sum() < BLOCK_TICKS or (np.abs(v) > DRIVING_SPEED).sum() < BLOCK_TICKS:
             return False
-        kernel = np.ones(10) / 10.0
+        up, kernel = force[use].mean(axis=0), np.ones(10) / 10.0
 
         def smooth(x: Array) -> Array:
             return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
 
+        changes = smooth(a)
         R, moved = np.eye(3), NO_ZERO  # mean of the motion's part of the force, sensor axes
         for _ in range(LEVELLINGS):
-            level_from_sensor = levelling_rotation(force[use].mean(axis=0) - moved)
+            level_from_sensor = levelling_rotation(up - moved)
             turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
             ahead, left, _ = level_from_sensor @ force.T
-            m = smooth(a) + 1j * smooth(v * turning)
+            m = changes + 1j * smooth(v * turning)
             level = smooth(ahead) + 1j * smooth(left)
             level, varied = (level - level[use].mean())[use], (m - m[use].mean())[use]
             if not self.signals.speed:

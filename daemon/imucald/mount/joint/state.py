@@ -43,6 +43,10 @@ IN_BENDS: Final = (0.01, 0.01, 0.02)
 Tyres slip in bends: 700 kg on a rear axle with a cornering stiffness of 100 kN/rad give 0.007 along
 x. Bodies lean in bends by 4 to 6 deg/g, which is 0.007 to 0.011 along z (assumptions).
 """
+LAG: Final = (0.05, 0.15, 0.05)
+"""Prior standard deviations of the responses of the force to d(v r)/dt [s], by axis: the lag of the
+lateral velocity and of the body in bends (assumption).
+"""
 FREE = 10.0
 """Prior standard deviation of an unknown rotation [rad]."""
 
