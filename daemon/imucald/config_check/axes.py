@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.config.base import MAX_SPEED_DELAY
 from imucald.config_check.finding import (
     MIN_TICKS,
     ODD_GAIN,
@@ -19,6 +18,7 @@ from imucald.config_check.finding import (
 )
 from imucald.config_check.motion import Motion, less, shifted, smooth
 from imucald.config_check.relation import relation
+from imucald.config_check.response import Response, response
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
@@ -48,61 +48,21 @@ MIN_REPORTED_DELAY = 2
 MIN_ACROSS = 0.15
 """Smallest standard deviation of the specific force in turns for a judgement [m/s^2]: twice the
 effect of road bumps."""
-LATEST = 2.5
-"""Largest delay of the speed at which its scale is judged [s]. Such a delay occurs if a GNSS
-receiver smooths its speed, is polled once per second, and its answer waits."""
-_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
-"""Tried delays of the speed [ticks of 0.1 s]."""
-
-
-@dataclass(frozen=True)
-class Response:
-    """The response of the accelerometer's axes (3,) to changes of speed and to turns.
-
-    explained: share of the motion along `along` that the change of speed explains. delay: delay of
-    the speed relative to the accelerometer [ticks of 0.1 s].
-    """
-
-    along: Array
-    across: Array
-    explained: float
-    delay: int
-
-
-def _response(accel: Array, change: Array, turn: Array, zero: Array, delay: int) -> Response | None:
-    """Least-squares fit of the axes with change of speed and centripetal acceleration.
-
-    zero: (n, k), extra columns of the fit: the effect of a zero error of the rate on `turn`.
-    """
-    change = shifted(change, delay)
-    rows = np.isfinite(accel).all(axis=1) & np.isfinite(change) & np.isfinite(turn)
-    rows &= np.isfinite(zero).all(axis=1)
-    if np.count_nonzero(rows) < MIN_TICKS or float(np.std(change[rows])) < MIN_BRAKING:
-        return None
-    known = np.column_stack([change[rows], turn[rows], zero[rows], np.ones(np.count_nonzero(rows))])
-    coefficients, *_ = np.linalg.lstsq(known, accel[rows], rcond=None)
-    along, across = coefficients[0], coefficients[1]
-    if not np.linalg.norm(along) > 0.0:
-        return None
-    direction = along / np.linalg.norm(along)
-    rest = (accel[rows] - known[:, 1:-1] @ coefficients[1:-1]) @ direction
-    correlation = float(np.corrcoef(rest, change[rows])[0, 1])
-    return Response(along, across, correlation * correlation, delay)
 
 
 def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None:
-    """Return the response for the delay of the speed that explains the motion best; None if the
-    response is not clear. `discovery.reference.response` does the same for a speed in an unknown
-    unit, before a signal for turns is known.
-    """
-    if motion.change is None or motion.accel is None or motion.speed is None:
+    """Return the response to changes of speed and to turns; None if it is not clear."""
+    if motion.change is None or motion.accel is None or motion.speed is None or motion.up is None:
+        return None
+    if spread(motion.change) < MIN_BRAKING:
         return None
     name = _shows_turns(rates)
-    turn = np.zeros_like(motion.speed) if name is None else motion.speed * rates[name]
-    zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
-    fits = [_response(motion.accel, motion.change, turn, zero, delay) for delay in _DELAYS]
-    best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
-    return best if best is not None and best.explained >= LIKE**2 else None
+    others = None
+    if name is not None:
+        zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
+        others = np.column_stack([motion.speed * rates[name], zero])
+    found = response(motion.accel, motion.up, motion.change, others)
+    return found if found is not None and found.relation.explained >= LIKE**2 else None
 
 
 def _shows_turns(rates: Mapping[str, Array]) -> str | None:
@@ -110,15 +70,15 @@ def _shows_turns(rates: Mapping[str, Array]) -> str | None:
     return next((name for name, rate in rates.items() if spread(rate) > MIN_TURNING), None)
 
 
-def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
+def speed_findings(found: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
     """Check size and delay of the changes of speed against the accelerometer.
 
     If the speed is noisy or its delay changes, the regression on the speed gives too small a gain.
     The regression on the accelerometer gives too large a gain. The true gain is between both
     (Fuller 1987, 1.1).
     """
-    gain, delay = float(np.linalg.norm(response.along)), response.delay
-    if gain <= 1.0 / ODD_GAIN < gain / response.explained:
+    gain, delay = found.gain, found.delay
+    if found.relation.low <= 1.0 / ODD_GAIN < found.relation.high:
         text = (
             "its changes are too noisy or too irregular in time to check its scale against "
             "the accelerometer"
@@ -150,11 +110,11 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
     if up is None:
         return
     yield from _rotation_axis(motion, rates, up)
-    response = best_response(motion, rates)
-    if response is None or np.linalg.norm(response.across) < LEAST_ACROSS:
+    found = best_response(motion, rates)
+    if found is None or np.linalg.norm(found.across) < LEAST_ACROSS:
         return
-    yield from _gyro_axes(motion, response, up)
-    along, across = response.along, response.across
+    yield from _gyro_axes(motion, found, up)
+    along, across = found.along, found.across
     handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
     if handed < -HANDED:
         turns = _shows_turns(rates)
@@ -205,7 +165,7 @@ def turn_gain_findings(
     )
 
 
-def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:
+def _gyro_axes(motion: Motion, found: Response, up: Array) -> Iterator[Finding]:
     """Check that gyroscope and accelerometer show the same changes of the vertical's direction
     (`mount.alternatives`)."""
     if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
@@ -213,11 +173,9 @@ def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Findin
     accel, rate = motion.accel, smooth(motion.grid["gyro"])
     if accel is None or motion.gravity is None:
         return
-    left = np.cross(up, response.along)
-    left /= np.linalg.norm(left)
-    R = np.array([np.cross(left, up), left, up])
+    R = np.array([found.forward, np.cross(up, found.forward), up])
     force = (accel - motion.gravity) @ R.T
-    change = shifted(motion.change, response.delay)
+    change = shifted(motion.change, found.delay)
     columns = np.column_stack([force[:, :2], change, motion.speed, rate])
     blocks = [
         block

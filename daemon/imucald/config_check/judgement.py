@@ -125,9 +125,9 @@ def judge(
         response = best_response(motion, motion.turn_rates(vehicle))
         if response is not None:
             yield from speed_findings(response, unit_advice)
-            gain = float(np.linalg.norm(response.along))
+            gain = response.gain
             if not any(finding.level == "error" for finding in of_up):  # else it is mirrored
-                ahead = response.along / gain
+                ahead = response.forward
                 yield from _stated_axis(stated.forward, "forward", ahead, "back", FORWARD_REMEDY)
             if is_beyond(gain, WRONG_UNIT):
                 motion = motion.scaled(speed=gain)

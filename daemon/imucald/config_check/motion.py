@@ -4,6 +4,7 @@ check`."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,12 +135,16 @@ class Motion:
     missing.
 
     All arrays are smoothed. speed: (n,) [m/s], negative in reverse. change: (n,) derivative of the
-    speed [m/s^2]. accel: (n, 3) [m/s^2]. up: (3,) unit vector in sensor axes.
+    speed [m/s^2]. accel: (n, 3) [m/s^2]. up, forward: (3,) unit vectors in sensor axes.
     """
 
-    def __init__(self, grid: Mapping[str, Array], planar: bool) -> None:
+    def __init__(
+        self, grid: Mapping[str, Array], planar: bool, forward: Array | None = None
+    ) -> None:
+        """forward: direction forward (3,) in sensor axes, if it is known (see `response`)."""
         self.planar = planar
         self.grid = grid
+        self.forward = forward
         self.speed = self.change = None
         if "speed" in grid:
             self.speed = smooth(self._direction() * grid["speed"])
@@ -152,18 +157,32 @@ class Motion:
         """Return the motion with accelerometer and speed multiplied by a factor."""
         factors = {"accel": accel, "speed": speed}
         grid = {name: values * factors.get(name, 1.0) for name, values in self.grid.items()}
-        return Motion(grid, self.planar)
+        return Motion(grid, self.planar, self.forward)
 
     def turned(self, channel: str, matrix: Array) -> Motion:
         """Return the motion with the axes of one channel multiplied by a matrix (w, w)."""
         values = self.grid[channel]
         table = values.reshape(len(values), -1) @ matrix.T
-        return Motion({**self.grid, channel: table.reshape(values.shape)}, self.planar)
+        forward = self.forward
+        if channel == "accel" and forward is not None:
+            forward = matrix @ forward
+        grid = {**self.grid, channel: table.reshape(values.shape)}
+        return Motion(grid, self.planar, forward)
 
     def without(self, channel: str) -> Motion:
         """Return the motion without one channel."""
         grid = {name: values for name, values in self.grid.items() if name != channel}
-        return Motion(grid, self.planar)
+        return Motion(grid, self.planar, self.forward)
+
+    def with_channel(self, channel: str, values: Array) -> Motion:
+        """Return the motion with one more channel, or with other values of a channel."""
+        return Motion({**self.grid, channel: values}, self.planar, self.forward)
+
+    def facing(self, forward: Array, delay: int) -> Motion:
+        """Return the motion with the direction forward (3,) in sensor axes, and with the speed
+        without its delay [ticks of 0.1 s]."""
+        grid = {**self.grid, "speed": shifted(self.grid["speed"], delay)}
+        return Motion(grid, self.planar, forward)
 
     @property
     def up(self) -> Array | None:
@@ -171,6 +190,41 @@ class Motion:
         if self.gravity is None:
             return None
         return np.asarray(self.gravity / np.linalg.norm(self.gravity))
+
+    @property
+    def along(self) -> Array | None:
+        """Acceleration forward (n,) from the accelerometer; None if the direction is unknown."""
+        if self.accel is None:
+            return None
+        if self.planar:
+            return np.asarray(self.accel[:, 0])
+        return None if self.forward is None else np.asarray(self.accel @ self.forward)
+
+    @property
+    def lateral(self) -> Array | None:
+        """Acceleration to the left (n,) from the accelerometer, if its axes are right-handed; None
+        if the directions are unknown."""
+        if self.accel is None or self.up is None or self.forward is None:
+            return None
+        return np.asarray(self.accel @ np.cross(self.up, self.forward))
+
+    @property
+    def moving(self) -> Array | None:
+        """The speed (n,) [m/s]; NaN where it is not above `MOVING`."""
+        return None if self.speed is None else moving(self.speed)
+
+    @cached_property
+    def turn(self) -> Array | None:
+        """Yaw rate (n,) [rad/s], positive to the left, from gyroscope or yaw rate signal."""
+        if "gyro" in self.grid and self.up is not None and not self.planar:
+            return rate_about(self.up, smooth(self.grid["gyro"]), self.standing)
+        return smooth(self.grid["yaw_rate"]) if "yaw_rate" in self.grid else None
+
+    @property
+    def curvature(self) -> Array | None:
+        """Curvature (n,) [1/m]: yaw rate divided by speed, NaN below `MOVING`."""
+        turn, v = self.turn, self.moving
+        return None if turn is None or v is None else turn / v
 
     @property
     def turn_zero(self) -> Array:

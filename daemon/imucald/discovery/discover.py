@@ -12,7 +12,6 @@ from imucald.can.j1939_transport import announced_messages
 from imucald.can.lost_frames import dropping_recorder, lost_share
 from imucald.config.network import OutputIds
 from imucald.config_check.finding import cut_frames
-from imucald.config_check.motion import Motion
 from imucald.config_check.moved_sensor import sensor_move
 from imucald.core.text import clock, counted
 from imucald.discovery.by_names import by_names
@@ -60,7 +59,7 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
     move, is used.
     """
     proposal, reference = _discovered(databases, recording)
-    move = None if reference.accelerometer is None else sensor_move(_motion_of(reference))
+    move = sensor_move(reference.motion)
     if move is None:
         return proposal
     is_later = recording.seconds - move.after > move.before
@@ -73,15 +72,6 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
     proposal.move = f"{move.words}; {what_is_used}"
     proposal.notes.append(f"{proposal.move[:1].upper()}{proposal.move[1:]}.")
     return proposal
-
-
-def _motion_of(reference: KnownMotion) -> Motion:
-    """Return the motion from the accelerometer and the speed that were found."""
-    assert reference.accelerometer is not None, "asked before"
-    grid = {"accel": reference.accelerometer.ticks}
-    if (speed := reference.speed) is not None:
-        grid["speed"] = speed.candidate.x * speed.unit.factor
-    return Motion(grid, planar=False)
 
 
 def _discovered(
@@ -112,7 +102,9 @@ def _discovered(
     wanted = {"speed", "steering_wheel_angle"} - {c.quantity for c in proposal.choices}
     if wanted:
         known = {one.can_id for one in traffic if _is_described(databases, one)}
-        proposal.choices += raw_choices(list(raw_fields(traffic, known, ticks)), reference, wanted)
+        proposal.choices += raw_choices(
+            list(raw_fields(traffic, known, ticks)), reference.motion, wanted
+        )
     for name in used_messages(proposal.choices):
         if name in messages:
             found = find_protection(messages[name])
@@ -229,9 +221,9 @@ def choices_from(
         *sensors.choices(),
         *turning.choices(every),
         find_reverse(reference, free),
-        find_brake(reference, free),
+        find_brake(reference.motion, free),
         find_temperature(reference, free),
-        heading_choice(sensors.heading, reference, free),
+        heading_choice(sensors.heading, reference.motion, free),
     ]
     proposal.vehicle += turning.vehicle
     chosen = [c for c in found if c is not None]

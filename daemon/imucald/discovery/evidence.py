@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imucald.config_check.relation import Relation
 from imucald.core.errors import ConfigError
 from imucald.inputs.units import find_unit
 
@@ -19,6 +20,10 @@ COMMON_UNITS = {
 """Common units, the most frequent first. A unit that is not in this list is accepted only if the
 database states the unit."""
 
+
+GAIN_TOLERANCE = 1.25
+"""Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
+have gains of 0.8 to 1.2."""
 
 USUAL_COUNTS = {
     "acceleration": ("g", (16384, 8192, 4096, 2048, 1024, 512, 256, 1000, 100)),
@@ -96,3 +101,18 @@ def choose_unit(
     fitting.sort()
     _, name, size = fitting[0]
     return UnitChoice(name, size, False, tuple(other for _, other, _ in fitting[1:]))
+
+
+def stated_unit(text: str, dimension: str) -> UnitChoice | None:
+    """Return the unit that a database states; None if the text is not a unit of this dimension."""
+    factor = factor_of(text, dimension)
+    return None if factor is None else UnitChoice(text, factor, True)
+
+
+def unit_for(
+    stated: str, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
+) -> UnitChoice | None:
+    """Return the unit in which a signal equals its SI reference within a tolerance, or None."""
+    if not found.low > 0.0:
+        return None
+    return choose_unit(stated, dimension, 1.0 / (found.high * tolerance), tolerance / found.low)

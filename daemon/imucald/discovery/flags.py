@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Signal
 from imucald.config_check.judgement import REVERSE_SPEED
-from imucald.config_check.motion import SMOOTH
+from imucald.config_check.motion import SMOOTH, Motion
 from imucald.config_check.relation import BELIEVED_NATS
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal, words
@@ -83,10 +83,12 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
     (including slopes). The mean of each segment is subtracted, because a mean may be a sensor
     offset or a slope.
     """
-    speed, along = reference.speed, reference.along
-    if speed is None or along is None or not speed.relation.is_believed_of(1):
+    speed, change, along = reference.motion.speed, reference.motion.change, reference.motion.along
+    if speed is None or change is None or along is None:
         return []
-    v, change = np.abs(speed.speed), speed.change
+    if reference.speed is None or not reference.speed.relation.is_believed_of(1):
+        return []
+    v = np.abs(speed)
     known = np.isfinite(along) & np.isfinite(change) & (np.nan_to_num(v) > CREEP)
     noise = float(np.var((along - change)[known])) if known.any() else 0.0
     found = []
@@ -156,12 +158,12 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
         )
 
 
-def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
+def find_brake(motion: Motion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """Find a switch (or pressure) that is on when the vehicle brakes."""
-    if reference.speed is None:
+    if motion.speed is None or motion.change is None:
         return None
-    change = reference.speed.change
-    moving = np.nan_to_num(np.abs(reference.speed.speed)) > 1.0
+    change = motion.change
+    moving = np.nan_to_num(np.abs(motion.speed)) > 1.0
     judged = moving & (np.nan_to_num(change) < -BRAKING) | moving & (change > -COASTING)
     braking = np.nan_to_num(change) < -BRAKING
     if min(np.count_nonzero(judged & braking), np.count_nonzero(judged & ~braking)) < 50:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from imucald.discovery.evidence import UnitChoice, choose_unit, in_counts
-from imucald.discovery.gyro_axes import GyroFit, Order, is_decided, right_handed_orders
+from imucald.config_check.gyro_axes import GyroFit, Order, is_decided, right_handed_orders
+from imucald.discovery.evidence import GAIN_TOLERANCE, UnitChoice, choose_unit, in_counts
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
-from imucald.discovery.reference import GAIN_TOLERANCE
 from imucald.discovery.scalars import SAME_MOTION
 from imucald.discovery.triads import Triad
 from imucald.inputs.units import is_unit

@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucald.config_check.motion import course_rate, shifted
+from imucald.config_check.motion import Motion, course_rate, shifted
 from imucald.config_check.relation import Relation, relation
+from imucald.config_check.response import DELAYS
 from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.evidence import stated_unit
 from imucald.discovery.names import hint
 from imucald.discovery.proposal import Choice, source_of
-from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
+from imucald.discovery.reference import KnownMotion
 from imucald.discovery.scalars import RELATED, SAME_MOTION, by_unit_and_name
 
 GAIN = 1.5
@@ -68,14 +70,14 @@ class HeadingFit:
         return self.is_named or self.candidate.least >= 0.0
 
 
-def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
+def fit_heading(motion: Motion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
     """Return the angle whose change follows the yaw rate best, with its delay. None if no angle
     follows the yaw rate."""
-    if reference.turn is None:
+    turn = motion.turn
+    if turn is None:
         return None
-    turn = reference.turn
-    if reference.speed is not None:  # a receiver at rest has no course
-        turn = np.where(np.isfinite(reference.speed.moving), turn, np.nan)
+    if motion.moving is not None:  # a receiver at rest has no course
+        turn = np.where(np.isfinite(motion.moving), turn, np.nan)
     best: HeadingFit | None = None
     for c in candidates:
         if c.course is None or c.is_constant:
@@ -93,19 +95,17 @@ def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Hea
 
 
 def heading_choice(
-    fit: HeadingFit | None, reference: KnownMotion, candidates: Sequence[SeenSignal]
+    fit: HeadingFit | None, motion: Motion, candidates: Sequence[SeenSignal]
 ) -> Choice | None:
     """Return the proposed heading. If no angle follows the turns, the heading is chosen by unit and
     name."""
     if fit is None:
         wide = []
         for c in candidates:
-            unit = stated_unit(c, "angle") if not c.is_constant else None
+            unit = stated_unit(c.unit, "angle") if not c.is_constant else None
             if unit is not None and (c.largest - c.least) * unit.factor > np.pi:
                 wide.append(c)
-        why = (
-            "" if reference.turn is None else "its changes do not follow the turns in the recording"
-        )
+        why = "" if motion.turn is None else "its changes do not follow the turns in the recording"
         return by_unit_and_name("heading", "angle", wide, why)
     is_clockwise = fit.relation.sign > 0
     doubt = (
@@ -149,7 +149,7 @@ def doubt_what_is_turned(
 
 
 def hold_against_heading(
-    reference: KnownMotion, accelerometer: Choice, fit: HeadingFit | None
+    known: KnownMotion, accelerometer: Choice, fit: HeadingFit | None
 ) -> HeadingFit | None:
     """Reverse the accelerometer and all results from it if a compass shows that the accelerometer
     is reversed.
@@ -157,10 +157,9 @@ def hold_against_heading(
     Returns the fit with its new direction of rotation. If the signal's name is not that of a
     compass, all signals with left and right get a doubt.
     """
-    if fit is None or fit.relation.sign > 0 or reference.up is None or reference.turn is None:
+    if fit is None or fit.relation.sign > 0:
         return fit
-    if not fit.is_named:
-        reference.sides_from = ""
+    known.shows_left = fit.is_named
     if not fit.is_like_a_compass:
         accelerometer.doubt = PERHAPS_REVERSED.format(heading=fit.candidate.path)
         return fit
@@ -168,12 +167,6 @@ def hold_against_heading(
         axis: replace(source, sign=-source.sign) for axis, source in accelerometer.sources.items()
     }
     accelerometer.doubt = REVERSED
-    reference.up = -reference.up
-    reference.turn = -reference.turn
-    reference.lateral = None if reference.lateral is None else -reference.lateral
-    if reference.speed is not None and reference.speed.forward is not None:
-        reference.speed = replace(reference.speed, forward=-reference.speed.forward)
-    if fit.is_named:
-        reference.sides_from = f"{fit.candidate.path}, which is clockwise"
+    known.motion = known.motion.turned("accel", -np.eye(3))
     mirrored = replace(fit.relation, correlation=-fit.relation.correlation)
     return replace(fit, relation=mirrored, is_reversed=True)

@@ -6,26 +6,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imucald.config_check.motion import change_of, right_less_left
+import numpy as np
+
+from imucald.config_check.motion import Motion, change_of, moving, right_less_left
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import UnitChoice
+from imucald.discovery.evidence import UnitChoice, stated_unit, unit_for
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Alternative, Choice, source_of
-from imucald.discovery.reference import (
-    KnownMotion,
-    SpeedFit,
-    speed_candidates,
-    stated_unit,
-    unit_for,
-)
+from imucald.discovery.reference import KnownMotion, SpeedFit, speed_candidates
 from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
-BY_WHEELS = (
-    "the sign is known because the wheels with 'right' in their names are faster in left turns"
-)
 WRONG_SCALE = 2.0
 """Largest accepted ratio of a measured scale to the stated scale. Reverse-engineered databases have
 such errors. A larger ratio means another unit."""
@@ -63,22 +56,29 @@ def find_planar(
     if not own:
         return None
     for best in own:  # one sensor sends both axes in one message
-        unit = stated_unit(best.first, "speed")
+        unit = stated_unit(best.first.unit, "speed")
         assert unit is not None, "only speeds that state their unit were tried"
         fit = SpeedFit(best.first, unit, best.relation)
         others = [c for c in accelerations if c.message is best.second.message]
-        across = _across(fit.moving, candidates, [c for c in others if c is not best.second])
+        v = moving(best.first.smooth * unit.factor)
+        across = _across(v, candidates, [c for c in others if c is not best.second])
         if across is not None:
             break
     else:
         return None
-    reference = KnownMotion(speed=fit)
-    yaw_unit = stated_unit(across.first, "angular_rate")
+    yaw_unit = stated_unit(across.first.unit, "angular_rate")
     assert yaw_unit is not None, "only rates that state their unit were tried"
-    sign, why = _sides(fit.moving, candidates, wheels, across.first)
-    reference.sides_from = why
-    reference.along = best.second.smooth * (best.unit.factor * best.relation.sign)
-    reference.turn = sign * across.first.smooth * yaw_unit.factor
+    sign, shows_left = _sides(v, candidates, wheels, across.first)
+    level = [
+        best.second.x * (best.unit.factor * best.relation.sign),
+        across.second.x * (across.unit.factor * sign * across.relation.sign),
+    ]
+    grid = {
+        "accel": np.column_stack(level),
+        "speed": best.first.x * unit.factor,
+        "yaw_rate": across.first.x * (yaw_unit.factor * sign),
+    }
+    reference = KnownMotion(Motion(grid, planar=True), speed=fit, shows_left=shows_left)
     sources = {
         "x": source_of(best.second, best.unit.name, best.relation.sign),
         "y": source_of(across.second, across.unit.name, sign * across.relation.sign),
@@ -89,7 +89,7 @@ def find_planar(
         f"follows speed times {across.first.path} (correlation "
         f"{across.relation.correlation:+.2f})"
     )
-    doubt = "" if why else "no signal shows which side is left: the sign of y may be wrong"
+    doubt = "" if shows_left else "no signal shows which side is left: the sign of y may be wrong"
     used = {best.second.path, across.second.path}
     speed = None
     if best.first.path not in taken:
@@ -115,12 +115,12 @@ def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_P
     first."""
     pairs = []
     for v in speeds:
-        own = stated_unit(v, "speed")
+        own = stated_unit(v.unit, "speed")
         for a in accelerations:
             if own is None:
                 continue
             found = relation(change_of(v.smooth * own.factor), a.smooth)
-            unit = unit_for(a, "acceleration", found, WRONG_SCALE)
+            unit = unit_for(a.unit, "acceleration", found, WRONG_SCALE)
             if unit is not None and _is_clear(found, len(speeds) * len(accelerations)):
                 pairs.append(_Pair(v, a, found, unit))
     return sorted(pairs, key=lambda p: -p.relation.explained)
@@ -131,14 +131,14 @@ def _across(
 ) -> _Pair | None:
     """Return a yaw rate and the acceleration that equals speed times this yaw rate; None if there
     is no such pair."""
-    rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
+    rates = [(c, stated_unit(c.unit, "angular_rate")) for c in candidates if not c.is_constant]
     pairs = []
     for rate, own in rates:
         for a in accelerations:
             if own is None:
                 continue
             found = relation(v * rate.smooth * own.factor, a.smooth)
-            unit = unit_for(a, "acceleration", found)
+            unit = unit_for(a.unit, "acceleration", found)
             if unit is not None and _is_clear(found, len(rates) * len(accelerations)):
                 pairs.append(_Pair(rate, a, found, unit))
     return max(pairs, key=lambda p: p.relation.explained, default=None)
@@ -150,20 +150,21 @@ def _is_clear(found: Relation, comparisons: int) -> bool:
 
 def _sides(
     v: Array, candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, yaw: SeenSignal
-) -> tuple[int, str]:
-    """Return the sign that makes a yaw rate positive to the left, and the evidence for the sign."""
+) -> tuple[int, bool]:
+    """Return the sign that makes a yaw rate positive to the left, and whether a signal or a comment
+    shows this sign."""
     if wheels:
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):
             fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
             found = relation(yaw.smooth / v, right_less_left(fl, fr, rl, rr) / v)
             if found.is_believed_of(1):
-                return found.sign, BY_WHEELS
+                return found.sign, True
     if _LEFT.search(yaw.signal.comment):
-        return 1, f"the database's comment on {yaw.path}"
+        return 1, True
     for c in candidates:
         if _LEFT.search(c.signal.comment) and c.states("angle"):
             found = relation(yaw.smooth, c.smooth * v)
             if _is_clear(found, 1):
-                return found.sign, f"the database's comment on {c.path}"
-    return 1, ""
+                return found.sign, True
+    return 1, False

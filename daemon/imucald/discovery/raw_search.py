@@ -13,11 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucald.config_check.motion import Motion, change_of
 from imucald.config_check.relation import Relation, relation
+from imucald.config_check.response import response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.proposal import Alternative, Choice, Proposed
-from imucald.discovery.reference import KnownMotion, response
 from imucald.discovery.scalars import SAME_MOTION
 
 ROLL_TOGETHER = 0.995
@@ -34,18 +35,16 @@ scale is less than a third."""
 MAX_OFFERS = 3
 
 
-def raw_choices(
-    fields: Sequence[SeenSignal], reference: KnownMotion, wanted: set[str]
-) -> list[Choice]:
+def raw_choices(fields: Sequence[SeenSignal], motion: Motion, wanted: set[str]) -> list[Choice]:
     """Return suggestions for `speed` and `steering_wheel_angle` if they are in `wanted`. The
     suggestions are written as comments."""
     found = []
     if "speed" in wanted:
-        choice = _speed(fields, reference)
+        choice = _speed(fields, motion)
         if choice is not None:
             found.append(choice)
     if "steering_wheel_angle" in wanted:
-        choice = _steering(fields, reference)
+        choice = _steering(fields, motion)
         if choice is not None:
             found.append(choice)
     return found
@@ -64,14 +63,14 @@ def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choic
     )
 
 
-def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
-    triad, up = reference.accelerometer, reference.up
-    if triad is not None and up is not None:
+def _speed(fields: Sequence[SeenSignal], motion: Motion) -> Choice | None:
+    if motion.accel is not None and motion.up is not None and not motion.planar:
         fits = []
         for c in fields:
-            one = response(c, triad, up)
-            if one is not None and one[0].is_believed and one[0].explained >= SAME_MOTION:
-                fits.append((one[0], c))
+            one = response(motion.accel, motion.up, change_of(c.smooth))
+            shown = Relation() if one is None else one.relation
+            if shown.is_believed and shown.explained >= SAME_MOTION:
+                fits.append((shown, c))
         fits.sort(key=lambda f: -f[0].explained)
         return _offer(
             "speed",
@@ -154,8 +153,8 @@ def _scaled(c: SeenSignal, unit: str, scale: float, offset: float = 0.0) -> Prop
     return Proposed(raw={**c.raw, "value": value}, unit=unit, channel=c.own_channel)
 
 
-def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
-    curvature, what = reference.curvature, "the curvature"
+def _steering(fields: Sequence[SeenSignal], motion: Motion) -> Choice | None:
+    curvature, what = motion.curvature, "the curvature"
     used: set[str] = set()
     if curvature is None:
         curvature, used = _curvature_of_wheels(fields)

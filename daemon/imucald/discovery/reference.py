@@ -1,113 +1,81 @@
-"""The vehicle's motion, as the reference with which signals are compared.
+"""The known part of the vehicle's motion, with which signals are compared, and its speed.
 
-The module uses only physical relations between signals. The forward acceleration is the change of
-speed, and the acceleration to the left is speed times yaw rate. For a three-axis sensor, gravity
-gives the direction up, and the change of speed gives the direction forward. Up and forward give the
-direction left (axes are assumed to be right-handed).
+Only physical relations between signals are used. The forward acceleration is the change of speed,
+and the acceleration to the left is speed times yaw rate. For a three-axis sensor, gravity gives the
+direction up, and the change of speed gives the direction forward. Up and forward give the direction
+left (axes are assumed to be right-handed).
+
+A speedometer may show up to 10 % plus 4 km/h too much (UN Regulation 39). The changes of its speed
+appear in the accelerometer as clearly as the changes of the true speed. Only the wheel speeds show
+which of the speeds is the true speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imucald.config_check.motion import change_of, moving, shifted
-from imucald.config_check.relation import Relation, relation
+from imucald.config_check.motion import Motion, change_of
+from imucald.config_check.relation import Relation, is_better, relation
+from imucald.config_check.response import response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of
+from imucald.discovery.evidence import GAIN_TOLERANCE, UnitChoice, choose_unit, stated_unit
+from imucald.discovery.names import hint
+from imucald.discovery.scalars import SAME_MOTION
 from imucald.discovery.triads import Triad
 
-DELAYS = range(-6, 26)
-"""Possible delays of speed and course [ticks of 0.1 s].
-
-OBD-II causes up to 1.5 s. A satellite receiver causes up to 2.5 s if it smooths its values and is
-asked once per second."""
-GAIN_TOLERANCE = 1.25
-"""Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
-have gains of 0.8 to 1.2."""
 LEAST_SPEED_BITS = 7
+NEAR_WHEELS = 0.04
+"""Largest relative difference between a speed and the mean wheel speed (worn and wrong tyres,
+slip)."""
+ONE_UNIT = 0.2
+"""Largest relative difference between a speed and the wheel speeds at which both have the same
+unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedFit:
     """A speed compared with the accelerometer. delay: delay of the speed [ticks of 0.1 s].
-    relation: relation to the accelerometer."""
+    relation: relation to the accelerometer. forward: direction forward (3,) in its axes."""
 
     candidate: SeenSignal
     unit: UnitChoice
     relation: Relation
     delay: int = 0
     forward: Array | None = None
-    """Direction forward: unit vector (3,) in the accelerometer's axes."""
 
     @property
     def is_believed(self) -> bool:
         """True if the changes of the speed certainly appear in the accelerometer."""
         return self.relation.is_believed
 
-    @property
-    def speed(self) -> Array:
-        """The speed (n,) [m/s] without its delay."""
-        return shifted(self.candidate.smooth * self.unit.factor, self.delay)
-
-    @property
-    def change(self) -> Array:
-        """The change of speed (n,) [m/s^2]."""
-        return change_of(self.speed)
-
-    @property
-    def moving(self) -> Array:
-        """The speed (n,) [m/s]; NaN where it is not above MOVING."""
-        return moving(self.speed)
-
 
 @dataclass(eq=False)
 class KnownMotion:
-    """The known part of the vehicle's motion. Arrays are (n,) in SI.
+    """The known part of the vehicle's motion. motion: the chosen signals in SI, without delays.
+    shows_left: True if there is evidence which side is left."""
 
-    along, lateral: acceleration forward and to the left, from the accelerometer. turn: yaw rate,
-    positive to the left. up: (3,) direction up in the accelerometer's axes.
-    """
-
+    motion: Motion = field(default_factory=lambda: Motion({}, planar=False))
     accelerometer: Triad | None = None
-    up: Array | None = None
     speed: SpeedFit | None = None
-    along: Array | None = None
-    lateral: Array | None = None
-    turn: Array | None = None
-    sides_from: str = ""
-    """Text with the evidence that distinguishes left from right; empty if there is none."""
+    shows_left: bool = False
 
-    @property
-    def forward(self) -> Array | None:
-        """Direction forward (3,) in the accelerometer's axes."""
-        return None if self.speed is None else self.speed.forward
-
-    def set_lateral(self) -> None:
-        """Compute the forward and the lateral acceleration from the directions up and forward, if
-        both are known."""
-        if self.accelerometer is None or self.up is None or self.forward is None:
-            return
-        self.along = self.accelerometer.smooth @ self.forward
-        self.lateral = self.accelerometer.smooth @ np.cross(self.up, self.forward)
-        self.sides_from = "the axes of the accelerometer, if they are right-handed"
-
-    @property
-    def curvature(self) -> Array | None:
-        """Curvature (n,) [1/m]: yaw rate divided by speed, NaN below MOVING."""
-        if self.turn is None or self.speed is None:
-            return None
-        return self.turn / self.speed.moving
+    def set_speed(self, fit: SpeedFit) -> None:
+        """Use a speed, and the direction forward that it shows."""
+        self.speed = fit
+        own = fit.candidate.x * fit.unit.factor
+        self.motion = self.motion.with_channel("speed", own)
+        if fit.forward is not None:
+            self.motion = self.motion.facing(fit.forward, fit.delay)
+            self.shows_left = True  # if the axes of the accelerometer are right-handed
 
 
-def direction_up(accelerometer: Triad) -> Array:
-    """Return the direction up: the unit vector (3,) of the mean specific force. Slopes cause an
-    error."""
-    mean = np.nanmean(accelerometer.smooth, axis=0)
-    return np.asarray(mean / np.linalg.norm(mean))
+def of_accelerometer(triad: Triad) -> KnownMotion:
+    """Return what an accelerometer alone shows."""
+    return KnownMotion(Motion({"accel": triad.ticks}, planar=False), triad)
 
 
 def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
@@ -122,91 +90,96 @@ def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
     ]
 
 
-def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> SpeedFit | None:
+def speed_against_accelerometer(c: SeenSignal, motion: Motion) -> SpeedFit | None:
     """Compare the changes of a speed with the accelerometer, and find the unit of the speed. None
     if the accelerometer does not show the changes."""
-    found = response(c, triad, up)
+    if motion.accel is None or motion.up is None:
+        return None
+    found = response(motion.accel, motion.up, change_of(c.smooth))
     if found is None:
         return None
-    shown, delay, forward = found
+    shown = found.relation
     low, high = shown.low / GAIN_TOLERANCE, shown.high * GAIN_TOLERANCE
     unit = choose_unit(c.unit, "speed", low, high)
     if unit is None:
-        unit = stated_unit(c, "speed")
+        unit = stated_unit(c.unit, "speed")
         if unit is None:
             return None
         shown = Relation()  # the stated unit contradicts the data, so it is ignored
-    return SpeedFit(c, unit, shown, delay, forward)
+    return SpeedFit(c, unit, shown, found.delay, found.forward)
 
 
-def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Array] | None:
-    """Compare the horizontal acceleration with the change of a speed signal.
+def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
+    """Return the mean wheel speed (n,) [m/s]; None if the wheels state no unit."""
+    unit = stated_unit(wheels[0].unit, "speed") if wheels else None
+    if unit is None or wheels is None:
+        return None
+    return np.asarray(np.column_stack([c.smooth for c in wheels]).mean(axis=1) * unit.factor)
 
-    Returns the relation ([m/s^2] per unit of speed change per second), the delay of the speed
-    [ticks of 0.1 s], and the direction forward (3,). None if the relation is too weak.
+
+def apart_from(fit: SpeedFit, mean: Array) -> float:
+    """Return the relative difference between a speed and the mean wheel speed (rms)."""
+    own = np.abs(fit.candidate.smooth * fit.unit.factor)
+    rows = np.isfinite(own) & np.isfinite(mean)
+    if np.count_nonzero(rows) < 50 or not mean[rows].any():
+        return np.inf
+    return float(np.sqrt(((own - mean)[rows] ** 2).mean() / (mean[rows] ** 2).mean()))
+
+
+def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
+    """Sort speeds: speeds near the wheel speeds first, then stated units, then the best explanation
+    of the accelerations.
+
+    If two speeds differ only by chance, a speed with a name of a speed is first, then the speed
+    with the shorter cycle. Signals without a unit are kept only if they explain most of the motion.
     """
-    level = level_axes(up)
-    accel = triad.smooth @ level.T
-    change = change_of(c.smooth)
-    best, at = 0.0, 0
-    for delay in range(DELAYS.start, DELAYS.stop, 3):
-        part = _explained(accel, shifted(change, delay))
-        if part > best:
-            best, at = part, delay
-    if best < 0.02:
-        return None
-    for delay in range(at - 2, at + 3):
-        part = _explained(accel, shifted(change, delay))
-        if part > best:
-            best, at = part, delay
-    moved = shifted(change, at)
-    along = _least_squares(moved, accel)
-    size = float(np.linalg.norm(along))
-    if not size > 0.0:
-        return None
-    return relation(moved, accel @ (along / size)), at, (along / size) @ level
+    fits = [f if mean is None else _in_wheels_unit(f, mean) for f in fits]
+    fits = [f for f in fits if f.unit.is_stated or f.relation.explained >= SAME_MOTION]
+
+    def rank(f: SpeedFit) -> tuple[bool, bool]:
+        return mean is not None and apart_from(f, mean) > NEAR_WHEELS, not f.unit.is_stated
+
+    fits = sorted(fits, key=lambda f: (*rank(f), -f.relation.explained))
+    if not fits:
+        return fits
+    first = fits[0]
+    equal = [
+        f for f in fits if rank(f) == rank(first) and not is_better(first.relation, f.relation)
+    ]
+    equal.sort(key=lambda f: (hint("speed", f.candidate) is None, f.candidate.cycle))
+    return equal + [f for f in fits if f not in equal]
 
 
-def stated_unit(c: SeenSignal, dimension: str) -> UnitChoice | None:
-    """Return a candidate's stated unit; None if it is not a unit of this dimension."""
-    factor = factor_of(c.unit, dimension) if c.states(dimension) else None
-    return None if factor is None else UnitChoice(c.unit, factor, True)
-
-
-def unit_for(
-    c: SeenSignal, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
-) -> UnitChoice | None:
-    """Return the unit in which a signal equals its SI reference within a tolerance, or None."""
+def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
+    """Return a speed without a unit, with the unit that makes it equal to the wheel speed."""
+    if fit.unit.is_stated:
+        return fit
+    found = relation(mean, fit.candidate.smooth)
     if not found.low > 0.0:
-        return None
-    low, high = 1.0 / (found.high * tolerance), tolerance / found.low
-    return choose_unit(c.unit, dimension, low, high, COMMON_UNITS[dimension])
+        return fit
+    low, high = (1.0 - ONE_UNIT) / found.gain, (1.0 + ONE_UNIT) / found.gain
+    unit = choose_unit("", "speed", low, high)
+    if unit is None:
+        return fit
+    as_wheels = replace(fit, unit=replace(unit, others=()))
+    return as_wheels if apart_from(as_wheels, mean) < ONE_UNIT else fit
 
 
-def level_axes(up: Array) -> Array:
-    """Return two unit vectors (2, 3) that are orthogonal to up and to each other."""
-    start = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = np.cross(up, start)
-    first /= np.linalg.norm(first)
-    return np.vstack([first, np.cross(up, first)])
-
-
-def _explained(accel: Array, change: Array) -> float:
-    """Return the share of the variance of speed changes that the horizontal acceleration
-    explains."""
-    rows = np.isfinite(change) & np.isfinite(accel).all(axis=1)
-    if np.count_nonzero(rows) < 50:
-        return 0.0
-    y = change[rows] - change[rows].mean()
-    a = accel[rows] - accel[rows].mean(axis=0)
-    total = float(y @ y)
-    if not total > 0.0:
-        return 0.0
-    return float((a.T @ y) @ np.linalg.pinv(a.T @ a) @ (a.T @ y)) / total
-
-
-def _least_squares(known: Array, accel: Array) -> Array:
-    """Return the response (2,) of the horizontal acceleration to `known`."""
-    rows = np.isfinite(known) & np.isfinite(accel).all(axis=1)
-    x = known[rows] - known[rows].mean()
-    return np.asarray((accel[rows] - accel[rows].mean(axis=0)).T @ x / (x @ x))
+def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
+    """Return the reason why the first of several speeds is not sure; empty if it is sure."""
+    best = fits[0]
+    if best.unit.doubt:
+        return best.unit.doubt
+    if mean is not None:
+        apart = apart_from(best, mean)
+        if apart > ONE_UNIT:
+            return "the wheel speeds differ from it"
+        return "" if best.unit.is_stated or apart < NEAR_WHEELS else "no unit is stated"
+    if not best.unit.is_stated and best.relation.explained < 0.5:
+        return "the database states no unit, and half of the accelerations do not fit"
+    own = np.abs(best.candidate.smooth * best.unit.factor)
+    for other in fits[1:]:
+        apart = apart_from(other, own)
+        if NEAR_WHEELS < apart < 2.0 * ONE_UNIT and not is_better(best.relation, other.relation):
+            return f"{other.candidate.path} differs from it by {100 * apart:.0f} % and fits as well"
+    return ""

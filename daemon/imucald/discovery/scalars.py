@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from imucald.config_check.relation import Relation, is_better, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import UnitChoice, choose_unit
+from imucald.discovery.evidence import UnitChoice, choose_unit, stated_unit, unit_for
 from imucald.discovery.names import hint, is_of_another
 from imucald.discovery.proposal import Alternative, Choice, source_of
-from imucald.discovery.reference import stated_unit, unit_for
 
 SAME_MOTION = 0.5
 """Smallest share of common variance at which a signal and its reference are the same quantity. With
@@ -51,7 +50,7 @@ class ScalarQuantity:
 
 
 def _by_gain(dimension: str) -> Callable[[SeenSignal, Relation], UnitChoice | None]:
-    return lambda c, found: unit_for(c, dimension, found)
+    return lambda c, found: unit_for(c.unit, dimension, found)
 
 
 def _steering_unit(c: SeenSignal, found: Relation) -> UnitChoice | None:
@@ -75,13 +74,15 @@ STEERING = ScalarQuantity("steering_wheel_angle", "angle", "the curvature", _ste
 
 
 def find_scalar(
-    quantity: ScalarQuantity, reference: Array | None, candidates: Sequence[SeenSignal], sides: str
+    quantity: ScalarQuantity,
+    reference: Array | None,
+    candidates: Sequence[SeenSignal],
+    shows_left: bool = True,
 ) -> Choice | None:
     """Return the signal that follows a reference best, with its unit and sign; None if no signal
     follows it.
 
-    sides: the evidence for left and right; empty if there is no evidence. For a quantity without
-    left and right, `sides` is any other text.
+    shows_left: False if the quantity has a left and right side, and no signal shows which is left.
     """
     usable = [
         c
@@ -104,13 +105,13 @@ def find_scalar(
         why = f"chosen by unit and name only: it does not follow {quantity.words}"
         return by_unit_and_name(quantity.name, quantity.dimension, usable, why)
     best = matches[0]
-    unit = best.unit or stated_unit(best.candidate, quantity.dimension)
+    unit = best.unit or stated_unit(best.candidate.unit, quantity.dimension)
     if unit is None:
         return None
     evidence = f"{_words(best.relation)} with {quantity.words}{_gain_words(quantity, best)}"
     if best.candidate.sign_signal is not None:
         evidence += f"; its sign is in {best.candidate.sign_signal}"
-    doubt = _doubt(best, matches[1:], quantity, sides)
+    doubt = _doubt(best, matches[1:], quantity, shows_left)
     others = [
         Alternative({"": source_of(m.candidate, m.unit.name, m.relation.sign)}, _words(m.relation))
         for m in matches[1 : 1 + MAX_ALTERNATIVES]
@@ -132,7 +133,7 @@ def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
     )
 
 
-def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: str) -> str:
+def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, shows_left: bool) -> str:
     if best.unit is None:
         return (
             "its values are too large or too small for every unit: the scale in the database is "
@@ -149,7 +150,7 @@ def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, sides: st
             return f"{rivals[0].candidate.path} fits equally well, and no unit is stated"
         if best.relation.explained < 0.8:
             return "the database states no unit, and the signal has large changes that do not fit"
-    if not sides:
+    if not shows_left:
         return "no signal on this bus shows which side is left: its sign may be wrong"
     return ""
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from imucald.config_check.motion import rate_about, standing_at
+from imucald.config_check.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
 from imucald.config_check.relation import Relation
 from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
+from imucald.discovery.evidence import stated_unit
 from imucald.discovery.gyro_choice import axes_of, gyroscope_choice
 from imucald.discovery.heading import (
     HeadingFit,
@@ -21,21 +21,18 @@ from imucald.discovery.names import hint
 from imucald.discovery.planar import find_planar
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
 from imucald.discovery.reference import (
+    NEAR_WHEELS,
     KnownMotion,
     SpeedFit,
-    direction_up,
-    speed_against_accelerometer,
-    speed_candidates,
-    stated_unit,
-)
-from imucald.discovery.scalars import SAME_MOTION
-from imucald.discovery.speeds import (
-    NEAR_WHEELS,
     apart_from,
     best_first,
+    of_accelerometer,
+    speed_against_accelerometer,
+    speed_candidates,
     speed_doubt,
     wheel_mean,
 )
+from imucald.discovery.scalars import SAME_MOTION
 from imucald.discovery.triads import (
     EARTH_FIELD,
     Triad,
@@ -92,7 +89,7 @@ class Sensors:
                 self._found += [planar.accelerometer, planar.speed]
                 self.taken |= planar.taken
         if self.heading is None:
-            self.heading = fit_heading(self.reference, self._free())
+            self.heading = fit_heading(self.reference.motion, self._free())
 
     def _free(self) -> list[SeenSignal]:
         return [c for c in self.candidates if c.path not in self.taken]
@@ -108,15 +105,13 @@ class Sensors:
         self._speed_for(best)
         rivals = [t for t in stated if t is not best]
         self.other_axes = {m.path for t in rivals for m in t.members}
-        reference = KnownMotion(best, direction_up(best))
-        self.reference = reference
+        reference = self.reference = of_accelerometer(best)
         self.taken |= {m.path for m in best.members}
         accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
         self._found.append(accelerometer)
         speed = self._choose_speed()
-        reference.set_lateral()
         gyro = self._choose_gyroscope(reference)
-        heading = fit_heading(reference, self._free())
+        heading = fit_heading(reference.motion, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
         if rivals and not accelerometer.doubt:
@@ -142,8 +137,8 @@ class Sensors:
             return triads[explained.index(max(explained))]
 
         def fit(triad: Triad) -> float:
-            reference = KnownMotion(triad, direction_up(triad))
-            fits = [fit_gyroscope(g, reference, [AS_IT_IS]) for g in gyros]
+            motion = of_accelerometer(triad).motion
+            fits = [fit_gyroscope(g.ticks, motion, [AS_IT_IS]) for g in gyros]
             return max((f.nats[AS_IT_IS] for f in fits if f is not None), default=0.0)
 
         return max(showing, key=fit)
@@ -152,10 +147,10 @@ class Sensors:
         """Return the quality of the best fit between a speed and a triad (three signals x, y, z),
         and store all fits.
         """
-        up = direction_up(triad)
+        motion = of_accelerometer(triad).motion
         members = {m.path for m in triad.members}
         fits = [
-            speed_against_accelerometer(c, triad, up)
+            speed_against_accelerometer(c, motion)
             for c in speed_candidates(self.candidates)
             if c.path not in members
         ]
@@ -173,10 +168,12 @@ class Sensors:
         mean = wheel_mean(self.wheels)
         own = best_first([f for f in believed if f.candidate.path not in wheels], mean)
         if not own:
-            self.reference.speed = rolling[0] if rolling else None
-            return None if rolling else self._speed_by_unit(wheels)
+            if not rolling:
+                return self._speed_by_unit(wheels)
+            self.reference.set_speed(rolling[0])
+            return None
         best = own[0]
-        self.reference.speed = best
+        self.reference.set_speed(best)
         self.taken.add(best.candidate.path)
         others = [Alternative({"": _speed_source(f)}, _speed_words(f)) for f in own[1:]]
         words, doubt = _speed_words(best), speed_doubt(own, mean)
@@ -198,9 +195,9 @@ class Sensors:
         if not usable:
             return None
         best = usable[0]
-        unit = stated_unit(best, "speed")
+        unit = stated_unit(best.unit, "speed")
         assert unit is not None, "its unit was just asked for"
-        self.reference.speed = SpeedFit(best, unit, Relation())
+        self.reference.set_speed(SpeedFit(best, unit, Relation()))
         self.taken.add(best.path)
         doubt = "chosen by its unit only: its changes do not show in the accelerometer"
         others = [Alternative({"": source_of(c)}, f"in {c.unit}") for c in usable[1:]]
@@ -219,7 +216,7 @@ class Sensors:
             tried = (
                 [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
             )
-            fit = fit_gyroscope(triad, reference, tried)
+            fit = fit_gyroscope(triad.ticks, reference.motion, tried)
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
         if not found:
@@ -228,11 +225,8 @@ class Sensors:
         triad, fit = found[0]
         choice, order, triad = gyroscope_choice(triad, fit, found[1:])
         self.taken |= {m.path for m in triad.members}
-        if reference.up is not None:
-            standing = None if reference.speed is None else standing_at(reference.speed.speed)
-            reference.turn = rate_about(reference.up, signed(triad.smooth, order), standing)
-            if not reference.sides_from:
-                reference.sides_from = "the gyroscope, if it is right-handed"
+        reference.motion = reference.motion.with_channel("gyro", signed(triad.ticks, order))
+        reference.shows_left = True  # if the gyroscope is right-handed
         return choice
 
     def _magnetometer(self) -> Choice | None:

@@ -16,9 +16,9 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of, in_counts
+from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, in_counts, stated_unit
 from imucald.discovery.names import axes_by_name
-from imucald.inputs.units import is_unit
+from imucald.inputs.units import find_unit, is_unit
 
 LEAST_COUNTS = 50.0
 """Smallest number of counts for 1 g. Every sensor has more counts for 1 g than this number."""
@@ -214,11 +214,11 @@ def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
 
 
 def _stated_or_first(candidate: SeenSignal, dimension: str) -> UnitChoice:
-    factor = factor_of(candidate.unit, dimension) if not candidate.has_no_unit else None
-    if factor is not None:
-        return UnitChoice(candidate.unit, factor, True)
-    names = COMMON_UNITS[dimension]
-    return UnitChoice(names[0], factor_of(names[0], dimension) or 1.0, False, names[1:])
+    unit = stated_unit(candidate.unit, dimension)
+    if unit is not None:
+        return unit
+    name, *others = COMMON_UNITS[dimension]
+    return UnitChoice(name, find_unit(name, dimension).factor, False, tuple(others))
 
 
 def in_order(

@@ -9,9 +9,8 @@ import numpy as np
 from imucald.config_check.relation import relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import choose_unit, factor_of
+from imucald.discovery.evidence import choose_unit, factor_of, stated_unit
 from imucald.discovery.proposal import Choice, candidate_of
-from imucald.discovery.reference import stated_unit
 from imucald.discovery.scalars import (
     LATERAL,
     LONGITUDINAL,
@@ -38,19 +37,21 @@ class Turning:
     def choices(self, free: Sequence[SeenSignal]) -> Iterator[Choice | None]:
         """Yield choices of wheels, steering, yaw rate and accelerations, in the order of the
         configuration."""
-        reference = self.reference
+        known = self.reference
         yaw_rate = self._yaw_rate(free)
+        motion, shows_left = known.motion, known.shows_left
         yield self._wheels()
-        steering = find_scalar(STEERING, reference.curvature, free, reference.sides_from)
+        steering = find_scalar(STEERING, motion.curvature, free, shows_left)
         yield steering
         if steering is not None:
             self._note_steering(steering, free)
         yield yaw_rate
-        speed, turn = reference.speed, reference.turn
-        lateral = None if speed is None or turn is None else speed.moving * turn
-        change = None if speed is None or not speed.relation.independent else speed.change
-        yield self._of_the_vehicle(find_scalar(LATERAL, lateral, free, reference.sides_from))
-        yield self._of_the_vehicle(find_scalar(LONGITUDINAL, change, free, "speed"))
+        v, turn = motion.moving, motion.turn
+        lateral = None if v is None or turn is None else v * turn
+        is_compared = known.speed is not None and known.speed.relation.independent
+        yield self._of_the_vehicle(find_scalar(LATERAL, lateral, free, shows_left))
+        change = motion.change if is_compared else None
+        yield self._of_the_vehicle(find_scalar(LONGITUDINAL, change, free))
 
     def _of_the_vehicle(self, choice: Choice | None) -> Choice | None:
         """Add a doubt to an acceleration that is an axis of another accelerometer."""
@@ -62,19 +63,20 @@ class Turning:
         """Find the yaw rate by comparison with the gyroscope. Without a gyroscope, use that speed
         times yaw rate equals the lateral acceleration.
         """
-        reference = self.reference
-        if reference.turn is None and reference.lateral is not None and reference.speed is not None:
-            turn = reference.lateral / reference.speed.moving
-            choice = find_scalar(YAW_RATE, turn, free, reference.sides_from)
-            reference.turn = _turn_of(choice, free, turn)
+        known = self.reference
+        motion, shows_left = known.motion, known.shows_left
+        if motion.turn is None and motion.lateral is not None and motion.moving is not None:
+            turn = motion.lateral / motion.moving
+            choice = find_scalar(YAW_RATE, turn, free, shows_left)
+            known.motion = motion.with_channel("yaw_rate", _turn_of(choice, free, turn))
             return choice
-        return find_scalar(YAW_RATE, reference.turn, free, reference.sides_from)
+        return find_scalar(YAW_RATE, motion.turn, free, shows_left)
 
     def _wheels(self) -> Choice | None:
         wheels, reference = self._sensors.wheels, self.reference
         if wheels is None:
             return None
-        unit = stated_unit(wheels[0], "speed")
+        unit = stated_unit(wheels[0].unit, "speed")
         doubt = ""
         mean = np.column_stack([c.smooth for c in wheels]).mean(axis=1)
         speed = reference.speed
@@ -89,7 +91,7 @@ class Turning:
         if unit is None:
             return None
         doubt = unit.doubt or doubt
-        choice, track = find_wheels(wheels, unit, doubt, reference)
+        choice, track = find_wheels(wheels, unit, doubt, reference.motion)
         if track is not None:
             self.vehicle.append(
                 (
@@ -106,10 +108,10 @@ class Turning:
         source = choice.sources[""]
         candidate = candidate_of(source, free)
         factor = factor_of(source.unit or candidate.unit, "angle")
-        curvature, speed = self.reference.curvature, self.reference.speed
+        curvature, speed = self.reference.motion.curvature, self.reference.motion.speed
         if factor is None or curvature is None or speed is None or choice.doubt:
             return
-        metres = _turning_metres(candidate.smooth * factor * source.sign, curvature, speed.speed)
+        metres = _turning_metres(candidate.smooth * factor * source.sign, curvature, speed)
         if metres is not None:
             text = (
                 f"the recording shows wheelbase times ratio, {metres:.1f} m; this ratio "
@@ -125,7 +127,7 @@ def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array
         candidate = candidate_of(source, free)
         factor = factor_of(source.unit or candidate.unit, "angular_rate")
         if factor is not None:
-            return candidate.smooth * (factor * source.sign)
+            return candidate.x * (factor * source.sign)
     return otherwise
 
 

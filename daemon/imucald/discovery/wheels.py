@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from imucald.config_check.motion import less, moving, right_less_left
+from imucald.config_check.motion import Motion, less, moving, right_less_left
 from imucald.config_check.relation import Relation, relation
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import UnitChoice
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
-from imucald.discovery.reference import KnownMotion
 
 SAME_SPEED = 0.1
 """Largest relative difference between the mean wheel speeds of one vehicle. Different tyres cause 3
@@ -70,7 +69,7 @@ def _roll_together(four: Sequence[SeenSignal]) -> bool:
 
 
 def find_wheels(
-    four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, reference: KnownMotion
+    four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, motion: Motion
 ) -> tuple[Choice, float | None]:
     """Find the wheel of each signal, and the track [m]. If the names show all wheels, the names
     decide.
@@ -79,10 +78,10 @@ def find_wheels(
     """
     named = [wheel_by_name(c.signal.name) for c in four]
     by_name = sorted(n or "" for n in named) == sorted(WHEELS)
-    sides, further = _turning(four, unit, reference)
+    sides, further = _turning(four, unit, motion)
     if by_name:
         order = [named.index(w) for w in WHEELS]
-        track = _track(four, order, unit, reference)
+        track = _track(four, order, unit, motion)
         text = "the names show the wheel of each"
         if track is not None and track.is_believed:
             text += f"; {IN_ORDER if track.sign > 0 else IN_ORDER.replace('right', 'LEFT')}"
@@ -90,7 +89,7 @@ def find_wheels(
                 doubt = EXCHANGED
         return _choice(four, order, unit, text, doubt), _metres(track)
     order, text, unsure = _by_turns(four, sides, further)
-    track = _track(four, order, unit, reference)
+    track = _track(four, order, unit, motion)
     return _choice(four, order, unit, text, doubt or unsure), _metres(track)
 
 
@@ -104,17 +103,18 @@ def _choice(
 
 
 def _turning(
-    four: Sequence[SeenSignal], unit: UnitChoice, reference: KnownMotion
+    four: Sequence[SeenSignal], unit: UnitChoice, motion: Motion
 ) -> tuple[list[Relation], _Ends]:
     """Return each wheel's relation to the curvature, and a function that compares two wheels in
     bends."""
-    if reference.turn is None:
+    turn = motion.turn
+    if turn is None:
         return [Relation()] * 4, lambda _a, _b: Relation()
     table = np.column_stack([c.smooth for c in four]) * unit.factor
     v = moving(table.mean(axis=1))
-    curvature = reference.turn / v
+    curvature = turn / v
     sides = [relation(curvature, table[:, i] / v) for i in range(4)]
-    drive = np.zeros(len(v)) if reference.speed is None else reference.speed.change
+    drive = np.zeros(len(v)) if motion.change is None else motion.change
     known = np.column_stack([curvature, drive, v])  # side, slip with acceleration, size of the tyre
 
     def further(a: int, b: int) -> Relation:
@@ -164,16 +164,16 @@ def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
 
 
 def _track(
-    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, reference: KnownMotion
+    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, motion: Motion
 ) -> Relation | None:
     """Return the relation between the yaw rate and the speed difference of right and left wheels,
     both divided by the speed. The gain of this relation is the track.
     """
-    if reference.turn is None:
+    if motion.turn is None:
         return None
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)
     v = moving(0.25 * (fl + fr + rl + rr))
-    return relation(reference.turn / v, right_less_left(fl, fr, rl, rr) / v)
+    return relation(motion.turn / v, right_less_left(fl, fr, rl, rr) / v)
 
 
 def _metres(track: Relation | None) -> float | None:

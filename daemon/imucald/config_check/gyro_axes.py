@@ -17,11 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.config_check.motion import SMOOTH, shifted, smooth
+from imucald.config_check.motion import SMOOTH, Motion, shifted, smooth
 from imucald.config_check.relation import BELIEVED_NATS, Relation, relation
 from imucald.core.arrays import Array
-from imucald.discovery.reference import KnownMotion
-from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
 WINDOW = 10
@@ -82,13 +80,16 @@ def signed(gyro: Array, order: Order) -> Array:
     return gyro[:, list(order[0])] * np.array(order[1], np.float64)
 
 
-def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> GyroFit | None:
-    """Compare a gyroscope's axes with the accelerometer; None if there is no evidence."""
-    if reference.accelerometer is None or reference.up is None:
+def fit_gyroscope(gyro: Array, motion: Motion, tried: list[Order]) -> GyroFit | None:
+    """Compare a gyroscope's axes with the accelerometer; None if there is no accelerometer.
+
+    gyro: rates (n, 3) at ticks, in any unit. motion: its speed has no delay.
+    """
+    if motion.accel is None or motion.up is None:
         return None
     orders = every_order()
-    turning = _turning(gyro.smooth, reference, orders)
-    carried = _carried(gyro.ticks, reference.accelerometer, reference, orders)
+    turning = _turning(smooth(gyro), motion, orders)
+    carried = _carried(gyro, motion, orders)
     nothing = 0.0, Relation()
     of_turns = {o: turning.get(o, nothing)[0] for o in orders}
     of_gravity = {o: carried.get(o, nothing)[0] for o in orders}
@@ -104,30 +105,30 @@ def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> Gy
 
 
 def _turning(
-    gyro: Array, reference: KnownMotion, orders: list[Order]
+    gyro: Array, motion: Motion, orders: list[Order]
 ) -> dict[Order, tuple[float, Relation]]:
     """Return the log likelihood of each order from turns."""
-    if reference.lateral is None or reference.speed is None or reference.up is None:
+    lateral, v, up = motion.lateral, motion.moving, motion.up
+    if lateral is None or v is None or up is None:
         return {}
-    v = reference.speed.moving
     found = {}
     for order in orders:
-        rate = signed(gyro, order) @ reference.up
-        one = relation(v * rate, reference.lateral)
+        one = relation(v * (signed(gyro, order) @ up), lateral)
         part = max(one.correlation, 0.0) ** 2
         found[order] = (-0.5 * one.independent * math.log1p(-min(part, 1.0 - 1e-12)), one)
     return found
 
 
 def _carried(
-    gyro: Array, accelerometer: Triad, reference: KnownMotion, orders: list[Order]
+    gyro: Array, motion: Motion, orders: list[Order]
 ) -> dict[Order, tuple[float, Relation]]:
     """Return the log likelihood of each order from the changes of gravity in windows of a
     second."""
-    force = accelerometer.smooth
+    force = motion.accel
+    assert force is not None, "asked before"
     gravity = _gravity(force)
     target = shifted(force, WINDOW) - force
-    moved = _accelerations(reference)
+    moved = _accelerations(motion)
     # the change if gyroscope axis i were the accelerometer's axis p
     terms = {
         (i, p): _integrated(-np.cross(np.eye(3)[p], gravity) * gyro[:, [i]])
@@ -156,17 +157,16 @@ def _gravity(force: Array) -> Array:
     return np.broadcast_to(np.nanmean(force, axis=0), force.shape)
 
 
-def _accelerations(reference: KnownMotion) -> Array:
+def _accelerations(motion: Motion) -> Array:
     """Return the changes (n, k) of accelerations due to the speed in a window. k is 0 without a
     speed."""
     known = []
-    if reference.speed is not None:
-        known.append(_windowed(reference.speed.change))
-        if reference.turn is not None:
-            known.append(_windowed(reference.speed.speed * reference.turn))
-    if not known:
-        return np.zeros((len(reference.accelerometer.ticks) if reference.accelerometer else 0, 0))
-    return np.column_stack(known)
+    if motion.speed is not None and motion.change is not None:
+        known.append(_windowed(motion.change))
+        if motion.turn is not None:
+            known.append(_windowed(motion.speed * motion.turn))
+    rows = 0 if motion.accel is None else len(motion.accel)
+    return np.column_stack(known) if known else np.zeros((rows, 0))
 
 
 def _in_order(parts: dict[tuple[int, int], Array], order: Order) -> Array:
