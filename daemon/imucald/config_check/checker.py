@@ -27,18 +27,18 @@ from imucald.config_check.health import (
 )
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
-from imucald.config_check.not_judged import not_judged
 from imucald.config_check.source import (
     id_text,
     message_row,
     never_negative,
+    not_judged,
     quantity_row,
     signs_of_speed,
     sources,
     turned_quantities,
+    unit_advice,
 )
 from imucald.config_check.statistics import Probe
-from imucald.config_check.unit_advice import unit_advice
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.session import make_engine, open_compensation

@@ -1,4 +1,4 @@
-"""Connect each configured number with its signal."""
+"""Connect each configured number with its signal, and report what is known of each number."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.message import Signal
 from imucald.config import LoadedConfig
+from imucald.config_check.finding import Finding
 from imucald.config_check.statistics import Probe, SignalStatistics
 from imucald.core.samples import QUANTITIES, SI_UNITS
 from imucald.inputs.quantities import Wanted, wanted_numbers
@@ -156,3 +157,43 @@ def stated_cycle(loaded: LoadedConfig, probe: Probe) -> float | None:
 def id_text(can_id: int) -> str:
     """Return the text of an identifier, without its flag."""
     return f"0x{can_id & CAN_EFF_MASK:X}"
+
+
+def unit_advice(sources: Iterable[QuantitySource]) -> dict[str, str]:
+    """Return advice for each quantity with a stated unit: the stated unit, the unit in the
+    database, and the remedy. The keys are names of axes and of sensors in the configuration, such
+    as "accelerometer.x" and "accelerometer".
+    """
+    made: dict[str, str] = {}
+    for source in sources:
+        unit = source.wanted.source.unit
+        if unit is None:
+            continue
+        advice = f"'unit: {unit}' is set: correct it"
+        if source.signal is not None and source.signal.unit not in ("", unit):
+            database = source.signal.unit
+            advice = (
+                f"'unit: {unit}' is set: remove it (the unit in the database is {database}) "
+                "or correct it"
+            )
+        parts = source.quantity.split(".")
+        for i in range(len(parts)):
+            made.setdefault(".".join(parts[: i + 1]), advice)
+    return made
+
+
+def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iterator[Finding]:
+    """Yield one note that names all received quantities that occur in no finding."""
+    judged = {name.partition(".")[0] for f in found for name in (f.quantity, *f.beside)}
+    left: dict[str, str] = {}
+    for row in rows:
+        name = row.quantity.partition(".")[0]
+        values = row.statistics.si
+        if name not in judged and values.count:
+            is_flag = row.statistics.conversion.unit.dimension == "flag"
+            same = values.least == values.largest
+            word = (" (never on)", " (always on)")[values.least > 0.5] if is_flag and same else ""
+            left.setdefault(name, name + word)
+    if left:
+        text = f"checked for unit and range only: {', '.join(left.values())}"
+        yield Finding("note", "check", text)

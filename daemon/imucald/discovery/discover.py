@@ -14,7 +14,6 @@ from imucald.config.network import OutputIds
 from imucald.config_check.finding import cut_frames
 from imucald.config_check.moved_sensor import sensor_move
 from imucald.core.text import clock, counted
-from imucald.discovery.by_names import by_names
 from imucald.discovery.candidates import (
     MessageTraffic,
     SeenSignal,
@@ -34,11 +33,11 @@ from imucald.discovery.flags import (
 )
 from imucald.discovery.heading import heading_choice
 from imucald.discovery.mirrored import hold_against_usual_signs
+from imucald.discovery.names import by_names
 from imucald.discovery.not_found import not_found
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
-from imucald.discovery.raw_fields import raw_fields
-from imucald.discovery.raw_search import raw_choices
+from imucald.discovery.raw_search import raw_choices, raw_fields
 from imucald.discovery.recording import GatheredFrames, Traffic
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.sensors import Sensors

@@ -25,6 +25,13 @@ GAIN_TOLERANCE = 1.25
 """Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
 have gains of 0.8 to 1.2."""
 
+SAME_MOTION = 0.5
+"""Smallest share of common variance at which a signal and its reference are the same quantity. With
+a smaller share, the signal may only be a cause or an effect of the reference."""
+RELATED = 0.25
+"""Smallest share of common variance if the stated unit also fits. With this share, half of the
+amplitude comes from the reference."""
+
 USUAL_COUNTS = {
     "acceleration": ("g", (16384, 8192, 4096, 2048, 1024, 512, 256, 1000, 100)),
     "angular_rate": (

@@ -17,9 +17,8 @@ from imucald.config_check.relation import BELIEVED_NATS
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal, words
 from imucald.discovery.names import hint, same_family
-from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 from imucald.discovery.reference import KnownMotion
-from imucald.discovery.scalars import MAX_ALTERNATIVES
 from imucald.inputs.units import find_unit
 
 CREEP = 0.2

@@ -17,11 +17,10 @@ from imucald.config_check.motion import Motion, course_rate, shifted
 from imucald.config_check.relation import Relation, relation
 from imucald.config_check.response import DELAYS
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import stated_unit
-from imucald.discovery.names import hint
+from imucald.discovery.evidence import RELATED, SAME_MOTION, stated_unit
+from imucald.discovery.names import by_unit_and_name, hint
 from imucald.discovery.proposal import Choice, source_of
 from imucald.discovery.reference import KnownMotion
-from imucald.discovery.scalars import RELATED, SAME_MOTION, by_unit_and_name
 
 GAIN = 1.5
 """Largest accepted gain ratio. It is between 1 (right unit) and 2 (wrong unit by a factor of

@@ -1,11 +1,16 @@
-"""Find axes, wheels and sides in signal names. Names decide only if the data do not decide."""
+"""Find axes, wheels and sides in signal names. Names decide only if the data do not decide.
+
+Choices from units and names alone, for quantities that the recording does not show, are never sure.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from imucald.discovery.candidates import SeenSignal, words
+from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _FRONT, _REAR = ("f", "v", "front", "vorn", "vorne", "vorder", "av"), (
@@ -124,3 +129,72 @@ def same_family(a: str, b: str) -> bool:
     """True if two message names begin with the same word, such as INS_Acc_02 and INS_Temp."""
     first, second = words(a), words(b)
     return bool(first and second) and first[0] == second[0] and len(first[0]) > 1
+
+
+WHY = "chosen by unit and names only: the recording does not confirm it, or contradicts its size"
+_SENSORS = {
+    "accelerometer": "acceleration",
+    "gyroscope": "angular_rate",
+    "magnetometer": "magnetic_field",
+}
+
+
+def by_names(candidates: Sequence[SeenSignal], found: set[str]) -> Iterator[Choice]:
+    """Yield choices for quantities that are not `found` yet."""
+    for quantity, dimension in _SENSORS.items():
+        if quantity not in found:
+            three = _three(candidates, dimension)
+            if three is not None:
+                text = f"three signals named x, y, z, in {three[0].unit}"
+                sources = {a: source_of(c) for a, c in zip("xyz", three, strict=True)}
+                yield Choice(quantity, sources, text, WHY)
+    wheels = {
+        wheel_by_name(c.signal.name): c
+        for c in candidates
+        if c.states("speed") and wheel_by_name(c.signal.name)
+    }
+    if "wheel_speeds" not in found and set(wheels) == set(WHEELS):
+        sources = {wheel: source_of(wheels[wheel]) for wheel in WHEELS}
+        yield Choice("wheel_speeds", sources, "four speeds with names of wheels", WHY)
+    if "speed" not in found:
+        used = {c.path for c in wheels.values()}
+        others = [c for c in candidates if c.path not in used]
+        choice = by_unit_and_name("speed", "speed", others, WHY)
+        if choice is not None:
+            yield choice
+
+
+def _three(
+    candidates: Sequence[SeenSignal], dimension: str
+) -> tuple[SeenSignal, SeenSignal, SeenSignal] | None:
+    """Return the first three signals of a message whose names are those of the axes x, y and z, in
+    this order."""
+    groups: dict[str, list[SeenSignal]] = {}
+    for c in candidates:
+        if c.states(dimension):
+            groups.setdefault(c.message.name, []).append(c)
+    for group in groups.values():
+        for three in itertools.combinations(group[:12], 3):
+            order = axes_by_name(three)
+            if order is not None:
+                x, y, z = (three[i] for i in order)
+                return x, y, z
+    return None
+
+
+def by_unit_and_name(
+    name: str, dimension: str, candidates: Sequence[SeenSignal], why: str = ""
+) -> Choice | None:
+    """Return the choice from unit and name alone; None if there is none. Such a choice is never
+    sure."""
+    named = [
+        c
+        for c in candidates
+        if c.states(dimension) and hint(name, c) and not is_of_another(c.signal.name)
+    ]
+    if not named:
+        return None
+    named.sort(key=lambda c: c.cycle)
+    why = why or "chosen by unit and name only: the recording shows no motion to compare it with"
+    others = [Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]]
+    return Choice(name, {"": source_of(named[0])}, f"named {hint(name, named[0])!r}", why, others)

@@ -12,11 +12,10 @@ from imucald.config_check.motion import Motion, change_of, moving, right_less_le
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import UnitChoice, stated_unit, unit_for
+from imucald.discovery.evidence import RELATED, UnitChoice, stated_unit, unit_for
 from imucald.discovery.names import WHEELS, wheel_by_name
-from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 from imucald.discovery.reference import KnownMotion, SpeedFit, speed_candidates
-from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
 WRONG_SCALE = 2.0

@@ -8,6 +8,9 @@ from typing import Any
 
 from imucald.discovery.candidates import SeenSignal
 
+MAX_ALTERNATIVES = 3
+"""Largest number of other choices that are written for a quantity."""
+
 
 @dataclass(frozen=True)
 class Proposed:

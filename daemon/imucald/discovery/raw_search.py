@@ -1,5 +1,9 @@
 """Find a speed and a steering angle in bytes that no database describes.
 
+A field of one or two bytes is used if consecutive values are close together and the range of the
+values is wide. Upper bits that jump (flags of other signals) are masked. Fields are proposed as
+`raw`.
+
 Speeds are fields that are proportional to each other: wheels, transmission, display. The steering
 angle is a field that follows the curvature, which is the difference of two wheel speeds divided by
 their mean. If an accelerometer is known, the accelerometer gives the scale of the speed. No result
@@ -8,19 +12,35 @@ is sure, so all results are only suggestions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucald.config_check.motion import Motion, change_of
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
+from imucald.can.dbc.message import Message, Signal
+from imucald.config_check.motion import Motion, bridged, change_of, smooth
 from imucald.config_check.relation import Relation, relation
 from imucald.config_check.response import response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.proposal import Alternative, Choice, Proposed
-from imucald.discovery.scalars import SAME_MOTION
+from imucald.discovery.evidence import SAME_MOTION
+from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, Proposed
+from imucald.discovery.recording import Traffic
+from imucald.motion.ticks import TICK_RATE
 
+MIN_FRAMES = 200
+MIN_LEVELS = 40
+"""Smallest number of different values of a speed or an angle in a drive."""
+CLOSE = 0.02
+"""Largest median step of a smooth field, relative to its range."""
+JUMP = 0.25
+"""Smallest step that counts as a jump, as a share of the range (a wrap, or bits of other
+signals)."""
+MAX_MASKED = 5
+"""Largest number of upper bits that may belong to other signals."""
+MAX_STEP_S = 1.0
 ROLL_TOGETHER = 0.995
 """Smallest correlation between two speeds of one vehicle."""
 NO_OFFSET = 0.02
@@ -32,7 +52,6 @@ TOP_SPEED = (8.0, 250.0)
 TRACK, STEERING_METRES = 1.55, 40.0
 """Track, and wheelbase times steering ratio, of a passenger car [m]. The error of the resulting
 scale is less than a third."""
-MAX_OFFERS = 3
 
 
 def raw_choices(fields: Sequence[SeenSignal], motion: Motion, wanted: set[str]) -> list[Choice]:
@@ -53,7 +72,7 @@ def raw_choices(fields: Sequence[SeenSignal], motion: Motion, wanted: set[str]) 
 def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choice | None:
     if not offers:
         return None
-    others = [Alternative({"": source}, text) for source, text in offers[:MAX_OFFERS]]
+    others = [Alternative({"": source}, text) for source, text in offers[:MAX_ALTERNATIVES]]
     return Choice(
         quantity,
         {},
@@ -199,3 +218,92 @@ def _curvature_of_wheels(fields: Sequence[SeenSignal]) -> tuple[Array | None, se
             fast = np.where(mean > 0.15 * np.nanmax(mean), mean, np.nan)
             return (right - left) / fast / TRACK, {c.path for c in group}
     return None, set()
+
+
+def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Iterator[SeenSignal]:
+    """Yield all fields of the identifiers that are not in `known`, wide fields first."""
+    several = len({one.channel for one in traffic}) > 1
+    for one in traffic:
+        if one.can_id in known or len(one) < MIN_FRAMES:
+            continue
+        size = int(one.length.min())
+        taken: set[int] = set()
+        for at in range(size - 1):
+            if taken & {at, at + 1}:
+                continue
+            for big in (True, False):
+                high, low = (at, at + 1) if big else (at + 1, at)
+                found = _field(one, (high, low), ticks, several)
+                if found is not None:
+                    taken |= {at, at + 1}
+                    yield found
+                    break
+        for at in range(size):
+            if at not in taken:
+                found = _field(one, (at,), ticks, several)
+                if found is not None:
+                    yield found
+
+
+def _field(one: Traffic, places: tuple[int, ...], ticks: int, several: bool) -> SeenSignal | None:
+    data = one.data.astype(np.int64)
+    if len(places) == 2 and len(np.unique(data[:, places[1]])) < MIN_LEVELS:
+        return None  # no data in the low byte: the field has one byte
+    for masked in range(MAX_MASKED + 1 if len(places) == 2 else 1):
+        mask = 0xFF >> masked
+        values = data[:, places[0]] & mask
+        if len(places) == 2:
+            values = values * 256 + data[:, places[1]]
+        if _is_smooth(one.t, values):
+            return _candidate(one, places, mask, values.astype(np.float64), ticks, several)
+    return None
+
+
+def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
+    span = int(values.max() - values.min())
+    if span < MIN_LEVELS or len(np.unique(values)) < MIN_LEVELS:
+        return False
+    steps = np.abs(np.diff(values))[np.diff(t) < MAX_STEP_S]
+    if not len(steps) or float(np.mean(steps > 0)) < 0.01:
+        return False
+    moving = steps[steps > 0]
+    both = np.diff(values)
+    one_way = min(float((both > 0).mean()), float((both < 0).mean())) < 0.001
+    return bool(
+        not one_way  # a clock, a counter, an odometer
+        and float(np.median(moving)) < CLOSE * span
+        and int(steps.max()) < JUMP * span
+    )
+
+
+def _candidate(
+    one: Traffic, places: tuple[int, ...], mask: int, values: NDArray[np.float64], ticks: int,
+    several: bool,
+) -> SeenSignal:  # fmt: skip
+    index = np.minimum((one.t * TICK_RATE).astype(np.int64), ticks - 1)
+    count = np.bincount(index, minlength=ticks)
+    rows = np.flatnonzero(count)
+    means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
+    x = bridged(ticks, rows, means)
+    upper = f"data[{places[0]}]" if mask == 0xFF else f"(data[{places[0]}] & {mask})"
+    value = upper if len(places) == 1 else f"{upper} * 256 + data[{places[1]}]"
+    number = one.can_id & CAN_EFF_MASK
+    signal = Signal(f"bytes_{'_'.join(map(str, places))}", 0, 8 * len(places))
+    raw = {"id": number, "value": value}
+    if one.can_id & CAN_EFF_FLAG and number < 0x800:
+        raw["extended"] = True
+    return SeenSignal(
+        message=Message(f"0x{number:X}", one.can_id, 8, {signal.name: signal}),
+        signal=signal,
+        channel=one.channel,
+        x=x,
+        smooth=smooth(x),
+        cycle=float(np.median(np.diff(one.t))),
+        levels=(),
+        held=None,
+        unavailable=(),
+        least=float(values.min()),
+        largest=float(values.max()),
+        raw=raw,
+        own_channel=one.channel if several else None,
+    )

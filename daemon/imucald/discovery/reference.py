@@ -22,9 +22,14 @@ from imucald.config_check.relation import Relation, is_better, relation
 from imucald.config_check.response import response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import GAIN_TOLERANCE, UnitChoice, choose_unit, stated_unit
+from imucald.discovery.evidence import (
+    GAIN_TOLERANCE,
+    SAME_MOTION,
+    UnitChoice,
+    choose_unit,
+    stated_unit,
+)
 from imucald.discovery.names import hint
-from imucald.discovery.scalars import SAME_MOTION
 from imucald.discovery.triads import Triad
 
 LEAST_SPEED_BITS = 7

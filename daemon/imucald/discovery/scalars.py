@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from imucald.config_check.relation import Relation, is_better, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import UnitChoice, choose_unit, stated_unit, unit_for
-from imucald.discovery.names import hint, is_of_another
-from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.evidence import (
+    RELATED,
+    SAME_MOTION,
+    UnitChoice,
+    choose_unit,
+    stated_unit,
+    unit_for,
+)
+from imucald.discovery.names import by_unit_and_name
+from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 
-SAME_MOTION = 0.5
-"""Smallest share of common variance at which a signal and its reference are the same quantity. With
-a smaller share, the signal may only be a cause or an effect of the reference."""
 STEERING_METRES = (15.0, 130.0)
 """Range of wheelbase times steering ratio [m]. The lower limit is half the value of a small car
 with a quick rack (2.4 m x 12). The upper limit is the value of a lorry (6 m x 20)."""
-RELATED = 0.25
-"""Smallest share of common variance if the stated unit also fits. With this share, half of the
-amplitude comes from the reference."""
-MAX_ALTERNATIVES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,24 +153,6 @@ def _doubt(best: Match, others: list[Match], quantity: ScalarQuantity, shows_lef
     if not shows_left:
         return "no signal on this bus shows which side is left: its sign may be wrong"
     return ""
-
-
-def by_unit_and_name(
-    name: str, dimension: str, candidates: Sequence[SeenSignal], why: str = ""
-) -> Choice | None:
-    """Return the choice from unit and name alone; None if there is none. Such a choice is never
-    sure."""
-    named = [
-        c
-        for c in candidates
-        if c.states(dimension) and hint(name, c) and not is_of_another(c.signal.name)
-    ]
-    if not named:
-        return None
-    named.sort(key=lambda c: c.cycle)
-    why = why or "chosen by unit and name only: the recording shows no motion to compare it with"
-    others = [Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]]
-    return Choice(name, {"": source_of(named[0])}, f"named {hint(name, named[0])!r}", why, others)
 
 
 def _words(found: Relation) -> str:
