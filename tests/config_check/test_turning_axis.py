@@ -12,7 +12,6 @@ from imucald.config.vehicle import VehicleSettings
 from imucald.config_check.finding import Finding
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
-from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import Samples, Series
 from imucald.simulation import random_model, simulate
@@ -48,6 +47,12 @@ def findings(up: SensorAxis | None = None, **changes: np.ndarray) -> list[Findin
     return list(judge(motion(**changes), vehicle, OrientationSettings(up=up)))
 
 
+def accused(of: Motion) -> bool:
+    """Whether an axis of a sensor is called wrong."""
+    vehicle = VehicleSettings(track=1.5, wheelbase=2.7, steering_ratio=16.0)
+    return any(f.level == "error" for f in judge(of, vehicle))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.237, 1 / 2.237, 3.6])
 def test_a_wrong_unit_of_the_speed_is_no_gyroscopes(factor):
@@ -71,16 +76,14 @@ EXCHANGED = {
 @pytest.mark.parametrize("channel", ["accel", "gyro"])
 @pytest.mark.parametrize("axes", ["y, z", "x, z"])
 def test_the_vertical_axis_exchanged_in_one_of_both_is_an_error(channel, axes):
-    found = list(turning_axis_findings(motion(**{channel: EXCHANGED[axes]})))
-    assert [f.level for f in found] == ["error"]
-    assert "an axis that is not vertical" in found[0].text
+    errors = [f for f in findings(**{channel: EXCHANGED[axes]}) if f.level == "error"]
+    assert any(f"exchanged axes {axes.replace(', ', ' and ')}" in f.text for f in errors)
 
 
 @pytest.mark.slow
 def test_sound_axes_and_any_other_mount_are_no_error():
-    assert list(turning_axis_findings(motion())) == []
     turned = EXCHANGED["x, y, z in turn"]
-    assert list(turning_axis_findings(motion(accel=turned, gyro=turned))) == []
+    assert "error" not in {f.level for f in findings(accel=turned, gyro=turned)}
     assert "error" not in {f.level for f in findings()}
 
 
@@ -95,7 +98,7 @@ def test_a_straight_drive_says_nothing_of_the_axis_of_turning():
         "accel": accel + rng.normal(0.0, 0.1, (n, 3)),
         "gyro": rng.normal(0.0, 0.01, (n, 3)),
     }
-    assert list(turning_axis_findings(Motion(grid, planar=False))) == []
+    assert not accused(Motion(grid, planar=False))
 
 
 @pytest.mark.slow
@@ -123,4 +126,4 @@ def test_a_zero_error_of_the_gyroscope_in_a_drive_with_stops_accuses_no_axis(zer
         samples[channel] = Series(series.t[short], (series.values @ R + error)[short])
     means = TickMeans()
     means.add_samples(samples)
-    assert list(turning_axis_findings(Motion(means.grid(), planar=False))) == []
+    assert not accused(Motion(means.grid(), planar=False))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -16,24 +15,18 @@ from imucald.config_check.finding import (
     is_beyond,
     spread,
 )
-from imucald.config_check.motion import Motion, less, shifted, smooth
+from imucald.config_check.gyro_axes import tilt_findings
+from imucald.config_check.motion import Motion, less
 from imucald.config_check.relation import relation
 from imucald.config_check.response import Response, response
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.arrays import Array
-from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.contradictions import LIKE, MOVING, WRONG_UNIT
-from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of
-from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
-from imucald.mount.signal_blocks import BLOCK_TICKS
+from imucald.mount.contradictions import LIKE, WRONG_UNIT
 
 MIN_BRAKING = 0.25
 """The response of the accelerometer is judged only if the standard deviation of dv/dt is at least
 this [m/s^2]."""
-AXIS_DEG = 20.0
-"""Largest plausible angle between the vertical (from gravity) and the rotation axis that the
-gyroscope shows in turns [deg]. Body roll and cross-axis errors cause a few degrees."""
 HANDED = 0.7
 """The handedness of the axes is clear if the magnitude of the triple product of the unit vectors
 forward, left and up is above this value."""
@@ -106,16 +99,14 @@ def speed_findings(found: Response, unit_advice: Mapping[str, str]) -> Iterator[
 
 def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
     """Check whether accelerometer and gyroscope have the same right-handed axes."""
-    up = motion.up
-    if up is None:
-        return
-    yield from _rotation_axis(motion, rates, up)
     found = best_response(motion, rates)
-    if found is None or np.linalg.norm(found.across) < LEAST_ACROSS:
+    if found is None or motion.up is None:
         return
-    yield from _gyro_axes(motion, found, up)
-    along, across = found.along, found.across
-    handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
+    yield from tilt_findings(motion.facing(found.forward, found.delay))
+    size = float(np.linalg.norm(found.across))
+    if size < LEAST_ACROSS:
+        return
+    handed = float(np.cross(found.forward, found.across) @ motion.up) / size
     if handed < -HANDED:
         turns = _shows_turns(rates)
         text = (
@@ -163,87 +154,3 @@ def turn_gain_findings(
     yield Finding(
         "error", name, text if knows_speed else f"{text}; or the unit of the {other} is wrong"
     )
-
-
-def _gyro_axes(motion: Motion, found: Response, up: Array) -> Iterator[Finding]:
-    """Check that gyroscope and accelerometer show the same changes of the vertical's direction
-    (`mount.alternatives`)."""
-    if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
-        return
-    accel, rate = motion.accel, smooth(motion.grid["gyro"])
-    if accel is None or motion.gravity is None:
-        return
-    R = np.array([found.forward, np.cross(up, found.forward), up])
-    force = (accel - motion.gravity) @ R.T
-    change = shifted(motion.change, found.delay)
-    columns = np.column_stack([force[:, :2], change, motion.speed, rate])
-    blocks = [
-        block
-        for block in np.array_split(columns, max(len(columns) // BLOCK_TICKS, 1))
-        if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING
-    ]
-    if not blocks:
-        return
-    zeros = _gyro_zeros(motion, rate, np.concatenate(blocks)[:, 4:], up)
-    total = np.zeros(len(TRIED) - 1)
-    for block in blocks:
-        ahead = (block[:, 0] - block[:, 2]) / GRAVITY
-        left_over = [
-            gyro_energies(ahead, block[:, 1] / GRAVITY, block[:, 4:] - zero, block[:, 3], R)[k]
-            for k, zero in enumerate(zeros)
-        ]
-        total += np.clip(ratios_of(np.array(left_over)), -MOST, MOST)
-    if total.min() < -TO_ACCUSE:
-        text = (
-            "does not tilt as the accelerometer does: one axis of the gyroscope or of the "
-            "accelerometer has the wrong sign, two axes are exchanged, or the sensor moves "
-            "in its holder"
-        )
-        yield Finding("error", "gyroscope", text)
-    elif total.min() > TO_BE_FINE:
-        yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
-    elif motion.standing is None:
-        text = (
-            "not checked: the sign of each axis of the gyroscope (the drive has no stop, so "
-            "its zero error is unknown)"
-        )
-        yield Finding("note", "check", text)
-
-
-def _gyro_zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[Array]:
-    """Return the gyroscope's zero error (3,) [rad/s] for each tried assignment (order and signs) of
-    its axes.
-
-    rate, moving: (n, 3), rates of the whole drive and of the judged part. The mean rate at rest is
-    the zero error. In a drive without a stop, the zero error is fitted for each assignment: the
-    total rotation about the horizontal axes is zero in any drive, so the mean rate about them is
-    the zero error.
-    """
-    if motion.standing is not None:
-        n = min(len(rate), len(motion.standing))
-        return [np.nanmean(rate[:n][motion.standing[:n]], axis=0)] * len(TRIED)
-    level = np.eye(3) - np.outer(up, up)
-    return [S.T @ level @ S @ moving.mean(axis=0) for S in TRIED]
-
-
-def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
-    """Check that the rotation axis that the gyroscope shows in turns is the vertical that the
-    accelerometer shows. This check uses all three rates and another signal that shows turns.
-    `turning_axis` uses the specific force in bends instead of such a signal.
-    """
-    names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > MIN_TURNING]
-    if "gyro" not in motion.grid or not names:
-        return
-    rate, gyro = rates[names[0]], smooth(motion.grid["gyro"])
-    rows = np.isfinite(rate) & np.isfinite(gyro).all(axis=1)
-    if np.count_nonzero(rows) < MIN_TICKS:
-        return
-    axis = np.cov(gyro[rows].T, rate[rows])[3, :3]
-    aligned = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-12)
-    angle = math.degrees(math.acos(min(aligned, 1.0)))
-    if angle > AXIS_DEG and relation(gyro @ axis, rate).is_same_motion:
-        text = (
-            f"turns about an axis that is {angle:.0f} deg off the vertical: one axis of the "
-            "gyroscope or of the accelerometer has the wrong sign, or two axes are exchanged"
-        )
-        yield Finding("error", "gyroscope", text)

@@ -5,22 +5,31 @@ Two facts show this relation for any mount. In turns, speed times the rate about
 acceleration to the left. While the body pitches and rolls, gravity moves in the accelerometer's
 axes with g' = -omega x g. Each of the 48 combinations of order and signs of three axes is compared
 with both facts, by likelihood. Offsets and accelerations due to the speed are fitted, so they have
-no effect. The unit is unknown in this module. `mount.gyro_alternatives` and
-`config_check.turning_axis` know the unit and check whether the configured axes are wrong.
+no effect. `fit_gyroscope` is for `init`, which does not know the unit.
+
+`tilt_findings` is for `check`, which knows it: the judge of the daemon, `mount.gyro_alternatives`,
+over the whole recording.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.config_check.finding import Finding
 from imucald.config_check.motion import SMOOTH, Motion, shifted, smooth
 from imucald.config_check.relation import BELIEVED_NATS, Relation, relation
 from imucald.core.arrays import Array
+from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_RATE
+from imucald.mount.contradictions import MOVING
+from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of
+from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
+from imucald.mount.signal_blocks import BLOCK_TICKS
 
 WINDOW = 10
 """Window in which the change of gravity is compared [ticks of 0.1 s]: one second, the time scale of
@@ -203,3 +212,63 @@ def _integrated(rate: Array) -> Array:
 def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
     """True if the order is certainly more likely than the other orders in `orders`."""
     return fit.ahead(orders) >= BELIEVED_NATS
+
+
+def tilt_findings(motion: Motion) -> Iterator[Finding]:
+    """Check that gyroscope and accelerometer show the same changes of the vertical's direction
+    (`mount.gyro_alternatives`). Both have the right unit, and the direction forward is known."""
+    accel, gravity, up, forward = motion.accel, motion.gravity, motion.up, motion.forward
+    if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
+        return
+    if accel is None or gravity is None or up is None or forward is None:
+        return
+    rate = smooth(motion.grid["gyro"])
+    R = np.array([forward, np.cross(up, forward), up])
+    force = (accel - gravity) @ R.T
+    columns = np.column_stack([force[:, :2], motion.change, motion.speed, rate])
+    blocks = [
+        block
+        for block in np.array_split(columns, max(len(columns) // BLOCK_TICKS, 1))
+        if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING
+    ]
+    if not blocks:
+        return
+    zeros = _zeros(motion, rate, np.concatenate(blocks)[:, 4:], up)
+    total = np.zeros(len(TRIED) - 1)
+    for block in blocks:
+        ahead, across = (block[:, 0] - block[:, 2]) / GRAVITY, block[:, 1] / GRAVITY
+        energies = [
+            gyro_energies(ahead, across, block[:, 4:] - zero, block[:, 3], R) for zero in zeros
+        ]
+        if len(zeros) > 1:  # of each assignment with its own zero error
+            energies = [np.array([one[k] for k, one in enumerate(energies)])]
+        total += np.clip(ratios_of(energies[0]), -MOST, MOST)
+    if total.min() < -TO_ACCUSE:
+        text = (
+            "does not tilt as the accelerometer does: one axis of the gyroscope or of the "
+            "accelerometer has the wrong sign, two axes are exchanged, or the sensor moves "
+            "in its holder"
+        )
+        yield Finding("error", "gyroscope", text)
+    elif total.min() > TO_BE_FINE:
+        yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
+    elif motion.standing is None:
+        text = (
+            "not checked: the sign of each axis of the gyroscope (the drive has no stop, so "
+            "its zero error is unknown)"
+        )
+        yield Finding("note", "check", text)
+
+
+def _zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[Array]:
+    """Return the gyroscope's zero error (3,) [rad/s]: the mean rate at rest.
+
+    In a drive without a stop, the zero error is fitted for each tried assignment (order and signs)
+    of its axes: the total rotation about the horizontal axes is zero in any drive, so the mean rate
+    about them is the zero error. rate, moving: (n, 3), rates of the whole drive and of the judged
+    part.
+    """
+    if motion.standing is not None:
+        return [np.asarray(np.nanmean(rate[motion.standing], axis=0))]
+    level = np.eye(3) - np.outer(up, up)
+    return [S.T @ level @ S @ moving.mean(axis=0) for S in TRIED]

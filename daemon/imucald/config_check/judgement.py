@@ -35,7 +35,6 @@ from imucald.config_check.motion import Motion, smooth
 from imucald.config_check.moved_sensor import sensor_move
 from imucald.config_check.relation import relation
 from imucald.config_check.single_fault import explained
-from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, gain_findings, sign_findings
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
@@ -161,7 +160,6 @@ def _signs_and_axes(
     """Yield all findings about signs and exchanged axes, from turns, slopes and gravity."""
     yield from sign_findings(rates, turned)
     if not motion.planar:
-        yield from turning_axis_findings(motion)
         yield from axes_findings(motion, rates)
 
 
