@@ -40,13 +40,16 @@ def change_of_speed() -> np.ndarray:
 def test_a_brake_switch_is_no_longitudinal_acceleration(change_of_speed: np.ndarray) -> None:
     pressed = (change_of_speed < -0.5).astype(float)
     assert np.corrcoef(pressed, change_of_speed)[0, 1] < -0.8
-    assert find_scalar(LONGITUDINAL, change_of_speed, [seen(pressed, (0.0, 1.0))], "") is None
+    assert (
+        find_scalar(LONGITUDINAL, change_of_speed, [seen(pressed, (0.0, 1.0))], shows_left=False)
+        is None
+    )
 
 
 def test_a_coarse_acceleration_is_one(change_of_speed: np.ndarray) -> None:
     coarse = np.round(4.0 * change_of_speed) / 4.0
     levels = tuple(np.unique(coarse).tolist())
     assert 2 < len(levels) < 16
-    found = find_scalar(LONGITUDINAL, change_of_speed, [seen(coarse, levels)], "")
+    found = find_scalar(LONGITUDINAL, change_of_speed, [seen(coarse, levels)], shows_left=False)
     assert found is not None
     assert found.sources[""].sign == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -248,40 +247,22 @@ def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
         return
     plan = compile_decode(one.message, names, may_be_cut=True)
     decoded = plan.decode_columns(one.data, one.length)
-    known, magnitudes, bits = [], [], []
     for i, name in enumerate(names):
-        good = decoded.ok.copy()
-        present = decoded.present[i]
+        good, present = decoded.ok.copy(), decoded.present[i]
         if present is not None:
             good &= present
-        known.append(good)
-        found = _candidate(one, name, decoded.raw[i], decoded.values[i], good.copy(), ticks)
-        if found is None:
-            continue
-        yield found
-        if found.is_magnitude:
-            magnitudes.append((i, found))
-        elif found.is_bit:
-            bits.append((i, found))
-    for (i, magnitude), (j, bit) in itertools.product(magnitudes, bits):
-        good = known[i] & known[j]
-        signed = np.where(decoded.values[j] > 0.0, -decoded.values[i], decoded.values[i])
-        if _changes_sign_at_zero(signed[good & ~np.isin(decoded.raw[i], magnitude.unavailable)]):
-            name = magnitude.signal.name
-            found = _candidate(one, name, decoded.raw[i], signed, good, ticks)
-            if found is not None:
-                yield replace(found, sign_signal=bit.path)
+        found = _candidate(one, name, decoded.raw[i], decoded.values[i], good, ticks)
+        if found is not None:
+            yield found
 
 
-def signed_elsewhere(
+def with_sign_bits(
     messages: Mapping[str, MessageTraffic], found: Sequence[SeenSignal], ticks: int
 ) -> Iterator[SeenSignal]:
-    """Yield magnitudes without a sign bit in their message, each with the best sign bit of another
-    message.
+    """Yield magnitudes, each with its best sign bit; a bit of the same message comes first.
 
     The values are those that a configuration with this bit as `sign_signal` would give.
     """
-    signed = {c.path for c in found if c.sign_signal is not None}
     own = [c for c in found if c.message.name in messages]
     bits = []
     for bit in (c for c in own if c.is_bit):
@@ -290,15 +271,15 @@ def signed_elsewhere(
         if len(changed) >= MIN_FRAMES:
             bits.append((bit, t, state, changed))
     for c in own:
-        if c.path in signed or not c.is_magnitude:
+        if not c.is_magnitude:
             continue
         one = messages[c.message.name]
         t, values, raw, rows = _decoded(one, c)
         small = SMALL_AT_SIGN * float(np.abs(values).mean())
-        best: tuple[float, SeenSignal, Array] | None = None
+        best: tuple[tuple[bool, float], SeenSignal, Array] | None = None
         for bit, t_bit, state, changed in bits:
             at = np.minimum(t.searchsorted(changed), len(t) - 1)
-            if bit.message.name == c.message.name or not np.abs(values[at]).mean() < small:
+            if not np.abs(values[at]).mean() < small:
                 continue
             sign = SignBit(bit.path)
             sign.expect(bit.message.cycle_time)
@@ -307,8 +288,9 @@ def signed_elsewhere(
             factors = sign.at_columns(t, t_bit.searchsorted(t, "right") - 1)
             known = np.isfinite(factors)
             size = _size_at_sign((values * factors)[known])
-            if size < (SMALL_AT_SIGN if best is None else best[0]):
-                best = size, bit, factors
+            rank = bit.message.name != c.message.name, size
+            if size < SMALL_AT_SIGN and (best is None or rank < best[0]):
+                best = rank, bit, factors
         if best is not None:
             _, bit, factors = best
             good = np.zeros(len(one.t), np.bool_)
@@ -341,12 +323,6 @@ def _size_at_sign(values: Array) -> float:
     at = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     usual = float(np.abs(values).mean()) if len(values) else 0.0
     return float(np.abs(values[at]).mean()) / usual if len(at) and usual else math.inf
-
-
-def _changes_sign_at_zero(values: Array) -> bool:
-    """True if values change their sign only when they are small. The tested bit is then a sign
-    bit."""
-    return _size_at_sign(values) < SMALL_AT_SIGN
 
 
 def _candidate(

@@ -22,8 +22,8 @@ from imucald.discovery.candidates import (
     messages_in,
     obd_speeds,
     readable_messages,
-    signed_elsewhere,
     silent_candidates,
+    with_sign_bits,
 )
 from imucald.discovery.flags import (
     find_brake,
@@ -40,9 +40,9 @@ from imucald.discovery.protection_search import find_protection
 from imucald.discovery.raw_search import raw_choices, raw_fields
 from imucald.discovery.recording import GatheredFrames, Traffic
 from imucald.discovery.reference import KnownMotion
+from imucald.discovery.scalars import choices_of_motion
 from imucald.discovery.sensors import Sensors
 from imucald.discovery.triads import of_another_size
-from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
 
 LEAST_PART_S = 60.0
@@ -95,7 +95,7 @@ def _discovered(
     candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
     if not recording.frames:
         candidates = [c for d in databases.values() for c in silent_candidates(d)]
-    candidates += list(signed_elsewhere(messages, candidates, ticks))
+    candidates += list(with_sign_bits(messages, candidates, ticks))
     candidates += obd_speeds(traffic, ticks)
     proposal.choices, reference = choices_from(candidates, proposal)
     wanted = {"speed", "steering_wheel_angle"} - {c.quantity for c in proposal.choices}
@@ -212,19 +212,19 @@ def choices_from(
     """Return choices for all quantities that were found, and the motion used as the reference."""
     plain = [c for c in candidates if c.sign_signal is None]
     sensors = Sensors(plain, candidates)
-    turning = Turning(sensors)
-    reference = sensors.reference
     every = [c for c in candidates if c.path not in sensors.taken]
     free = [c for c in every if c.sign_signal is None]
+    of_motion, vehicle = choices_of_motion(sensors, every)
+    proposal.vehicle += vehicle
+    reference = sensors.reference
     found: list[Choice | None] = [
         *sensors.choices(),
-        *turning.choices(every),
+        *of_motion,
         find_reverse(reference, free),
         find_brake(reference.motion, free),
         find_temperature(reference, free),
         heading_choice(sensors.heading, reference.motion, free),
     ]
-    proposal.vehicle += turning.vehicle
     chosen = [c for c in found if c is not None]
     hold_against_usual_signs(chosen, sensors.heading)
     unused = [c for c in plain if c.path not in sensors.taken]

@@ -24,6 +24,8 @@ database states the unit."""
 GAIN_TOLERANCE = 1.25
 """Largest factor by which squat, slope and tyres change a gain. Measured and simulated vehicles
 have gains of 0.8 to 1.2."""
+GAINS = 1.0 / GAIN_TOLERANCE, GAIN_TOLERANCE
+"""Range of the gain of a signal in the right unit."""
 
 SAME_MOTION = 0.5
 """Smallest share of common variance at which a signal and its reference are the same quantity. With
@@ -117,9 +119,10 @@ def stated_unit(text: str, dimension: str) -> UnitChoice | None:
 
 
 def unit_for(
-    stated: str, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
+    stated: str, dimension: str, found: Relation, gains: tuple[float, float] = GAINS
 ) -> UnitChoice | None:
-    """Return the unit in which a signal equals its SI reference within a tolerance, or None."""
+    """Return the unit in which a signal has a plausible gain (signal divided by its SI reference),
+    or None."""
     if not found.low > 0.0:
         return None
-    return choose_unit(stated, dimension, 1.0 / (found.high * tolerance), tolerance / found.low)
+    return choose_unit(stated, dimension, gains[0] / found.high, gains[1] / found.low)

@@ -119,7 +119,7 @@ def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_P
             if own is None:
                 continue
             found = relation(change_of(v.smooth * own.factor), a.smooth)
-            unit = unit_for(a.unit, "acceleration", found, WRONG_SCALE)
+            unit = unit_for(a.unit, "acceleration", found, (1.0 / WRONG_SCALE, WRONG_SCALE))
             if unit is not None and _is_clear(found, len(speeds) * len(accelerations)):
                 pairs.append(_Pair(v, a, found, unit))
     return sorted(pairs, key=lambda p: -p.relation.explained)
