@@ -30,6 +30,8 @@ from imucald.motion.ticks import TICK_RATE
 
 FEW_LEVELS = 16
 """Largest number of different values of a signal that may be a switch or a gear lever."""
+MEASURED_BITS = 7
+"""Smallest length of a signal that measures an acceleration, a rate or a speed [bits]."""
 MIN_FRAMES = 20
 """Smallest number of frames of a message that is used."""
 SNA_BITS = 6

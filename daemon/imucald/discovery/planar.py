@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from imucald.config_check.motion import Motion, change_of, moving, right_less_le
 from imucald.config_check.relation import Relation, relation
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import RELATED, UnitChoice, stated_unit, unit_for
+from imucald.discovery.evidence import GAINS, RELATED, UnitChoice, stated_unit, unit_for
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 from imucald.discovery.reference import KnownMotion, SpeedFit, speed_candidates
@@ -25,19 +26,21 @@ such errors. A larger ratio means another unit."""
 
 @dataclass
 class Planar:
-    """The result: the two-axis accelerometer, the speed, and the motion that both show."""
+    """The result: the motion that a two-axis accelerometer and a speed show, the choices of both,
+    and the paths of their signals."""
 
     reference: KnownMotion
-    accelerometer: Choice
-    speed: Choice | None
+    choices: list[Choice | None]
     taken: set[str]
 
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A signal and another signal that follows it."""
+    """A signal in its stated unit, and an acceleration that follows it. unit: of the
+    acceleration."""
 
     first: SeenSignal
+    stated: UnitChoice
     second: SeenSignal
     relation: Relation
     unit: UnitChoice
@@ -49,38 +52,41 @@ def find_planar(
     """Find two accelerations: one that follows the change of speed, and one that follows speed
     times yaw rate."""
     accelerations = [c for c in candidates if c.states("acceleration") and not c.is_constant]
-    speeds = [c for c in speed_candidates(candidates) if c.states("speed")]
-    along = _along(speeds, accelerations)
+    speeds = [
+        (c, unit, change_of(c.smooth * unit.factor))
+        for c in speed_candidates(candidates)
+        if (unit := stated_unit(c.unit, "speed")) is not None
+    ]
+    along = _pairs(speeds, accelerations, (1.0 / WRONG_SCALE, WRONG_SCALE))
     own = [p for p in along if p.first.path not in taken] or along
-    if not own:
-        return None
     for best in own:  # one sensor sends both axes in one message
-        unit = stated_unit(best.first.unit, "speed")
-        assert unit is not None, "only speeds that state their unit were tried"
-        fit = SpeedFit(best.first, unit, best.relation)
-        others = [c for c in accelerations if c.message is best.second.message]
-        v = moving(best.first.smooth * unit.factor)
-        across = _across(v, candidates, [c for c in others if c is not best.second])
+        v = moving(best.first.smooth * best.stated.factor)
+        rates = [
+            (c, unit, v * c.smooth * unit.factor)
+            for c in candidates
+            if not c.is_constant and (unit := stated_unit(c.unit, "angular_rate")) is not None
+        ]
+        others = [
+            c for c in accelerations if c.message is best.second.message and c is not best.second
+        ]
+        across = next(iter(_pairs(rates, others)), None)
         if across is not None:
             break
     else:
         return None
-    yaw_unit = stated_unit(across.first.unit, "angular_rate")
-    assert yaw_unit is not None, "only rates that state their unit were tried"
     sign, shows_left = _sides(v, candidates, wheels, across.first)
-    level = [
-        best.second.x * (best.unit.factor * best.relation.sign),
-        across.second.x * (across.unit.factor * sign * across.relation.sign),
-    ]
+    x_sign, y_sign = best.relation.sign, sign * across.relation.sign
+    x, y = best.second.x * best.unit.factor * x_sign, across.second.x * across.unit.factor * y_sign
     grid = {
-        "accel": np.column_stack(level),
-        "speed": best.first.x * unit.factor,
-        "yaw_rate": across.first.x * (yaw_unit.factor * sign),
+        "accel": np.column_stack([x, y]),
+        "speed": best.first.x * best.stated.factor,
+        "yaw_rate": across.first.x * (across.stated.factor * sign),
     }
+    fit = SpeedFit(best.first, best.stated, best.relation)
     reference = KnownMotion(Motion(grid, planar=True), speed=fit, shows_left=shows_left)
     sources = {
-        "x": source_of(best.second, best.unit.name, best.relation.sign),
-        "y": source_of(across.second, across.unit.name, sign * across.relation.sign),
+        "x": source_of(best.second, best.unit.name, x_sign),
+        "y": source_of(across.second, across.unit.name, y_sign),
     }
     evidence = (
         "no three signals form a vector of 1 g, so these are two level axes. x "
@@ -89,12 +95,12 @@ def find_planar(
         f"{across.relation.correlation:+.2f})"
     )
     doubt = "" if shows_left else "no signal shows which side is left: the sign of y may be wrong"
+    choices: list[Choice | None] = [Choice("accelerometer", sources, evidence, doubt)]
     used = {best.second.path, across.second.path}
-    speed = None
     if best.first.path not in taken:
         used.add(best.first.path)
-        speed = _speed_choice(best, [p for p in own[1:] if p.first is not best.first])
-    return Planar(reference, Choice("accelerometer", sources, evidence, doubt), speed, used)
+        choices.append(_speed_choice(best, [p for p in own[1:] if p.first is not best.first]))
+    return Planar(reference, choices, used)
 
 
 def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
@@ -109,38 +115,22 @@ def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
     )  # fmt: skip
 
 
-def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_Pair]:
-    """Return pairs of a speed and the acceleration that follows the changes of this speed, the best
-    first."""
+def _pairs(
+    firsts: Sequence[tuple[SeenSignal, UnitChoice, Array]],
+    accelerations: Sequence[SeenSignal],
+    gains: tuple[float, float] = GAINS,
+) -> list[_Pair]:
+    """Return the pairs of a signal and an acceleration that follows it, the best first.
+
+    firsts: each signal with its stated unit and with the acceleration (n,) that it predicts.
+    """
     pairs = []
-    for v in speeds:
-        own = stated_unit(v.unit, "speed")
-        for a in accelerations:
-            if own is None:
-                continue
-            found = relation(change_of(v.smooth * own.factor), a.smooth)
-            unit = unit_for(a.unit, "acceleration", found, (1.0 / WRONG_SCALE, WRONG_SCALE))
-            if unit is not None and _is_clear(found, len(speeds) * len(accelerations)):
-                pairs.append(_Pair(v, a, found, unit))
+    for (first, stated, predicted), second in itertools.product(firsts, accelerations):
+        found = relation(predicted, second.smooth)
+        unit = unit_for(second.unit, "acceleration", found, gains)
+        if unit is not None and _is_clear(found, len(firsts) * len(accelerations)):
+            pairs.append(_Pair(first, stated, second, found, unit))
     return sorted(pairs, key=lambda p: -p.relation.explained)
-
-
-def _across(
-    v: Array, candidates: Sequence[SeenSignal], accelerations: list[SeenSignal]
-) -> _Pair | None:
-    """Return a yaw rate and the acceleration that equals speed times this yaw rate; None if there
-    is no such pair."""
-    rates = [(c, stated_unit(c.unit, "angular_rate")) for c in candidates if not c.is_constant]
-    pairs = []
-    for rate, own in rates:
-        for a in accelerations:
-            if own is None:
-                continue
-            found = relation(v * rate.smooth * own.factor, a.smooth)
-            unit = unit_for(a.unit, "acceleration", found)
-            if unit is not None and _is_clear(found, len(rates) * len(accelerations)):
-                pairs.append(_Pair(rate, a, found, unit))
-    return max(pairs, key=lambda p: p.relation.explained, default=None)
 
 
 def _is_clear(found: Relation, comparisons: int) -> bool:

@@ -21,7 +21,7 @@ from imucald.config_check.motion import Motion, change_of
 from imucald.config_check.relation import Relation, is_better, relation
 from imucald.config_check.response import response
 from imucald.core.arrays import Array
-from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.candidates import MEASURED_BITS, SeenSignal
 from imucald.discovery.evidence import (
     GAIN_TOLERANCE,
     SAME_MOTION,
@@ -32,7 +32,6 @@ from imucald.discovery.evidence import (
 from imucald.discovery.names import hint
 from imucald.discovery.triads import Triad
 
-LEAST_SPEED_BITS = 7
 NEAR_WHEELS = 0.04
 """Largest relative difference between a speed and the mean wheel speed (worn and wrong tyres,
 slip)."""
@@ -90,7 +89,7 @@ def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
         for c in candidates
         if c.may_be("speed")
         and not c.is_constant
-        and c.signal.length >= LEAST_SPEED_BITS
+        and c.signal.length >= MEASURED_BITS
         and (c.states("speed") or not c.levels)
     ]
 

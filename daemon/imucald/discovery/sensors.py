@@ -102,7 +102,7 @@ class Sensors:
             planar = find_planar(with_signs or candidates, self.wheels, self.taken)
             if planar is not None:
                 self.reference = planar.reference
-                self._found += [planar.accelerometer, planar.speed]
+                self._found += planar.choices
                 self.taken |= planar.taken
         if self.heading is None:
             self.heading = fit_heading(self.reference.motion, self._free())

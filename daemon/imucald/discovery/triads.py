@@ -13,24 +13,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.config_check.judgement import REST_WRONG
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
-from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.candidates import MEASURED_BITS, SeenSignal
 from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, in_counts, stated_unit
 from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import find_unit, is_unit
 
 LEAST_COUNTS = 50.0
 """Smallest number of counts for 1 g. Every sensor has more counts for 1 g than this number."""
-MIN_BITS = 7
-"""Smallest length of a sensor axis [bits]."""
 MAX_TOGETHER = 12
 """Largest number of similar signals in a message of which any three are tested. With more signals,
 only adjacent signals are tested."""
 SCALE_AND_OFFSET = 0.08
 """Largest relative error of a sensor's 1 g: 5 % of scale and 30 mg of offset (consumer MEMS)."""
-WRONG_SCALE = 0.25
-"""Relative error of 1 g above which a stated unit is wrong."""
 NORM_SPREAD = 0.05
 """Largest relative spread of the vector's magnitude in a drive.
 
@@ -146,7 +143,7 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
         if unit is None or not unit.is_stated or len({m.message.name for m in three}) > 1:
             return None
         return Triad(ordered, unit, named, middle * unit.factor, spread)
-    for tolerance in (SCALE_AND_OFFSET, WRONG_SCALE):
+    for tolerance in (SCALE_AND_OFFSET, REST_WRONG):
         unit = _one_g_unit(ordered[0].unit, middle, tolerance)
         if unit is not None and (tolerance == SCALE_AND_OFFSET or unit.is_stated):
             return Triad(ordered, unit, named, middle * unit.factor, spread)
@@ -168,7 +165,7 @@ def of_another_size(candidates: Sequence[SeenSignal]) -> str:
             continue
         _, middle, spread = _sizes(ordered)
         middle *= _stated_or_first(ordered[0], "acceleration").factor
-        if not middle > 0.0 or abs(middle / GRAVITY - 1.0) < WRONG_SCALE or spread > NORM_SPREAD:
+        if not middle > 0.0 or abs(middle / GRAVITY - 1.0) < REST_WRONG or spread > NORM_SPREAD:
             continue
         names = ", ".join((ordered[0].path, *(m.signal.name for m in ordered[1:])))
         return (
@@ -249,7 +246,7 @@ def _threes(
     usable = [
         c
         for c in candidates
-        if c.may_be(dimension) and c.signal.length >= MIN_BITS and not c.levels
+        if c.may_be(dimension) and c.signal.length >= MEASURED_BITS and not c.levels
     ]
     groups: dict[tuple[object, ...], list[SeenSignal]] = {}
     for c in usable:

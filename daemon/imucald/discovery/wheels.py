@@ -9,7 +9,7 @@ import numpy as np
 
 from imucald.config_check.motion import Motion, less, moving, right_less_left
 from imucald.config_check.relation import Relation, relation
-from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.candidates import MEASURED_BITS, SeenSignal
 from imucald.discovery.evidence import UnitChoice
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
@@ -20,7 +20,6 @@ SAME_SPEED = 0.1
 SIDE_BY_SIDE = 0.98
 """Smallest correlation between the wheel speeds in a drive. Wheel speeds of one vehicle differ only
 in bends and by slip."""
-MIN_BITS = 7
 HALF_SQUARE = (1.5, 12.0)
 """Range of half of the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces the measured
 value."""
@@ -39,7 +38,12 @@ def wheel_sets(candidates: Sequence[SeenSignal]) -> Iterator[tuple[SeenSignal, .
     """Yield all sets of four similar signals that move like the wheels of one vehicle."""
     kinds: dict[object, list[SeenSignal]] = {}
     for c in candidates:
-        if c.may_be("speed") and not c.is_constant and not c.levels and c.signal.length >= MIN_BITS:
+        if (
+            c.may_be("speed")
+            and not c.is_constant
+            and not c.levels
+            and c.signal.length >= MEASURED_BITS
+        ):
             s = c.signal
             kinds.setdefault((c.unit, s.length, s.scale, s.offset, s.byte_order), []).append(c)
     for kind in kinds.values():
