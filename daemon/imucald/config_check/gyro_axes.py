@@ -3,8 +3,8 @@ and unit.
 
 Two facts show this relation for any mount. In turns, speed times the rate about the vertical is the
 acceleration to the left. While the body pitches and rolls, gravity moves in the accelerometer's
-axes with g' = -omega x g. Each of the 48 combinations of order and signs of three axes is compared
-with both facts, by likelihood. Offsets and accelerations due to the speed are fitted, so they have
+axes with g' = -omega x g. Each order of the axes of a right-handed sensor is compared with both
+facts, by likelihood. Offsets and accelerations due to the speed are fitted, so they have
 no effect. `fit_gyroscope` is for `init`, which does not know the unit.
 
 `tilt_findings` is for `check`, which knows it: the judge of the daemon, `mount.gyro_alternatives`,
@@ -13,10 +13,9 @@ over the whole recording.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,32 +37,34 @@ STEADY_UP = 0.97
 """Smallest mean resultant length of the force's direction at which gravity counts as constant in
 sensor axes. With slopes and manoeuvres, the direction in a vehicle stays within 15 deg."""
 
-Order = tuple[tuple[int, int, int], tuple[int, int, int]]
-"""Which gyroscope axes are x, y, z, and the sign of each axis."""
+Order = tuple[tuple[int, int, int], int]
+"""Which gyroscope axes are x, y, z, and the sign of all axes."""
 
-AS_IT_IS: Order = ((0, 1, 2), (1, 1, 1))
+AS_IT_IS: Order = ((0, 1, 2), 1)
+CYCLIC = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+RIGHT_HANDED: tuple[Order, ...] = tuple((axes, sign) for axes in CYCLIC for sign in (1, -1))
+"""The orders of axes of a right-handed sensor, also with all signs reversed. A left-handed
+gyroscope cannot be distinguished from a left-handed accelerometer."""
 
 
 @dataclass(frozen=True)
 class GyroFit:
-    """The most likely order of a gyroscope's axes among `tried`, with its evidence.
+    """The most likely order of a gyroscope's axes among those that were tried, with its evidence.
 
-    nats: log likelihood of each order, relative to no relation. turning: relation between the
-    acceleration to the left and speed times rate. carried: relation between the change of gravity
-    and the rates. is_contradicted: True if gravity and turns clearly show different orders.
+    nats: log likelihood of each right-handed order, relative to no relation. turning: relation
+    between the acceleration to the left and speed times rate. carried: relation between the change
+    of gravity and the rates.
     """
 
     order: Order
     nats: dict[Order, float]
     turning: Relation
     carried: Relation
-    is_contradicted: bool = False
 
-    def ahead(self, orders: list[Order]) -> float:
-        """Return by how much the order is more likely than the best other order in `orders`
-        [nats]."""
+    def is_decided(self, orders: Sequence[Order]) -> bool:
+        """True if the order is certainly more likely than the other orders in `orders`."""
         others = [self.nats[o] for o in orders if o != self.order]
-        return self.nats[self.order] - max(others, default=-math.inf)
+        return self.nats[self.order] - max(others, default=-math.inf) >= BELIEVED_NATS
 
     @property
     def is_believed(self) -> bool:
@@ -71,90 +72,67 @@ class GyroFit:
         return self.turning.is_believed or self.carried.is_believed
 
 
-def every_order() -> list[Order]:
-    """Return all 48 combinations of order and signs."""
-    signs = list(itertools.product((1, -1), repeat=3))
-    return [(p, s) for p in itertools.permutations((0, 1, 2)) for s in signs]  # type: ignore[misc]
-
-
-def right_handed_orders() -> list[Order]:
-    """Return the three cyclic orders with positive signs, and the three cyclic orders with all
-    signs reversed."""
-    cyclic = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-    return [(p, s) for p in cyclic for s in ((1, 1, 1), (-1, -1, -1))]
-
-
 def signed(gyro: Array, order: Order) -> Array:
-    """Return the rates (n, 3) in another order of axes, with its signs."""
-    return gyro[:, list(order[0])] * np.array(order[1], np.float64)
+    """Return the rates (n, 3) in another order of axes, with its sign."""
+    return order[1] * gyro[:, list(order[0])]
 
 
-def fit_gyroscope(gyro: Array, motion: Motion, tried: list[Order]) -> GyroFit | None:
+def fit_gyroscope(gyro: Array, motion: Motion, tried: Sequence[Order]) -> GyroFit | None:
     """Compare a gyroscope's axes with the accelerometer; None if there is no accelerometer.
 
     gyro: rates (n, 3) at ticks, in any unit. motion: its speed has no delay.
     """
     if motion.accel is None or motion.up is None:
         return None
-    orders = every_order()
-    turning = _turning(smooth(gyro), motion, orders)
-    carried = _carried(gyro, motion, orders)
-    nothing = 0.0, Relation()
-    of_turns = {o: turning.get(o, nothing)[0] for o in orders}
-    of_gravity = {o: carried.get(o, nothing)[0] for o in orders}
-    nats = {o: of_turns[o] + of_gravity[o] for o in orders}
+    turning, carried = _turning(smooth(gyro), motion), _carried(gyro, motion)
+    of_turns = {order: _nats(turning[order]) for order in RIGHT_HANDED}
+    nats = {order: of_turns[order] + _nats(carried[order]) for order in RIGHT_HANDED}
     # the mount is found from turns, so gravity decides only between orders that fit the turns
-    most = max(of_turns[o] for o in tried)
-    open_ones = [o for o in tried if of_turns[o] > most - BELIEVED_NATS]
-    best = max(open_ones, key=lambda o: nats[o])
-    contradicted = max(of_gravity[o] for o in tried) - of_gravity[best] >= BELIEVED_NATS
-    return GyroFit(
-        best, nats, turning.get(best, nothing)[1], carried.get(best, nothing)[1], contradicted
-    )
+    most = max(of_turns[order] for order in tried)
+    open_ones = [order for order in tried if of_turns[order] > most - BELIEVED_NATS]
+    best = max(open_ones, key=lambda order: nats[order])
+    return GyroFit(best, nats, turning[best], carried[best])
 
 
-def _turning(
-    gyro: Array, motion: Motion, orders: list[Order]
-) -> dict[Order, tuple[float, Relation]]:
-    """Return the log likelihood of each order from turns."""
+def _nats(found: Relation) -> float:
+    """Return the log likelihood of a relation with any positive gain, relative to no relation."""
+    part = max(found.correlation, 0.0) ** 2
+    return -0.5 * found.independent * math.log1p(-min(part, 1.0 - 1e-12))
+
+
+def _of_orders(found: Iterable[Relation]) -> dict[Order, Relation]:
+    """Return the relation of each right-handed order, from the relations of the cyclic orders."""
+    return {
+        (axes, sign): replace(one, correlation=sign * one.correlation)
+        for axes, one in zip(CYCLIC, found, strict=True)
+        for sign in (1, -1)
+    }
+
+
+def _turning(gyro: Array, motion: Motion) -> dict[Order, Relation]:
+    """Compare speed times rate about the vertical with the acceleration to the left."""
     lateral, v, up = motion.lateral, motion.moving, motion.up
     if lateral is None or v is None or up is None:
-        return {}
-    found = {}
-    for order in orders:
-        one = relation(v * (signed(gyro, order) @ up), lateral)
-        part = max(one.correlation, 0.0) ** 2
-        found[order] = (-0.5 * one.independent * math.log1p(-min(part, 1.0 - 1e-12)), one)
-    return found
+        return _of_orders([Relation()] * len(CYCLIC))
+    return _of_orders(relation(v * (gyro[:, list(axes)] @ up), lateral) for axes in CYCLIC)
 
 
-def _carried(
-    gyro: Array, motion: Motion, orders: list[Order]
-) -> dict[Order, tuple[float, Relation]]:
-    """Return the log likelihood of each order from the changes of gravity in windows of a
-    second."""
+def _carried(gyro: Array, motion: Motion) -> dict[Order, Relation]:
+    """Compare the changes of gravity in windows of a second with the rates."""
     force = motion.accel
     assert force is not None, "asked before"
     gravity = _gravity(force)
     target = shifted(force, WINDOW) - force
     moved = _accelerations(motion)
-    # the change if gyroscope axis i were the accelerometer's axis p
-    terms = {
-        (i, p): _integrated(-np.cross(np.eye(3)[p], gravity) * gyro[:, [i]])
-        for i in range(3)
-        for p in range(3)
-    }
-    rows = np.isfinite(target).all(axis=1) & np.isfinite(moved).all(axis=1)
-    for term in terms.values():
-        rows &= np.isfinite(term).all(axis=1)
+    predicted = [_integrated(np.cross(gravity, gyro[:, list(axes)])) for axes in CYCLIC]
+    rows = np.isfinite(np.column_stack([target, moved, *predicted])).all(axis=1)
     count = int(np.count_nonzero(rows))
     if count < 20 * (WINDOW + SMOOTH):
-        return {}
+        return _of_orders([Relation()] * len(CYCLIC))
     basis = np.linalg.qr(np.column_stack([np.ones(count), moved[rows]]))[0]
-    target, *left = (x[rows] - basis @ (basis.T @ x[rows]) for x in (target, *terms.values()))
-    parts = dict(zip(terms, left, strict=True))
+    target, *predicted = (x[rows] - basis @ (basis.T @ x[rows]) for x in (target, *predicted))
     independent = 2.0 * count / (WINDOW + SMOOTH)  # two horizontal axes in each window
-    return {order: _held_against(target, _in_order(parts, order), independent) for order in orders}
+    return _of_orders(_held_against(target, one, independent) for one in predicted)
 
 
 def _gravity(force: Array) -> Array:
@@ -178,24 +156,14 @@ def _accelerations(motion: Motion) -> Array:
     return np.column_stack(known) if known else np.zeros((rows, 0))
 
 
-def _in_order(parts: dict[tuple[int, int], Array], order: Order) -> Array:
-    """Return the predicted change of gravity (m, 3) for one order of the gyroscope's axes."""
-    return np.asarray(
-        sum(sign * parts[axis, p] for p, (axis, sign) in enumerate(zip(*order, strict=True)))
-    )
-
-
-def _held_against(target: Array, predicted: Array, independent: float) -> tuple[float, Relation]:
-    """Return the log likelihood of a prediction with any positive scale, and the relation between
-    prediction and target."""
+def _held_against(target: Array, predicted: Array, independent: float) -> Relation:
+    """Return the relation of a predicted change of gravity (m, 3) to the change (m, 3)."""
     dot, size = float((target * predicted).sum()), float((predicted * predicted).sum())
     total = float((target * target).sum())
-    if not (size > 0.0 and total > 0.0):
-        return 0.0, Relation()
+    if not (size > 0.0 and total > 0.0 and dot != 0.0):
+        return Relation()
     root = max(min(dot / math.sqrt(size * total), 1.0 - 1e-9), 1e-9 - 1.0)
-    nats = -0.5 * independent * math.log1p(-(max(root, 0.0) ** 2))
-    high = total / dot if dot > 0.0 else 0.0
-    return nats, Relation(root, independent, max(dot / size, 0.0), high)
+    return Relation(root, independent, abs(dot) / size, total / abs(dot))
 
 
 def _windowed(x: Array) -> Array:
@@ -207,11 +175,6 @@ def _integrated(rate: Array) -> Array:
     known = np.where(np.isfinite(rate), rate, 0.0)
     whole = smooth(np.cumsum(known, axis=0) / TICK_RATE)
     return np.where(np.isfinite(rate), shifted(whole, WINDOW) - whole, np.nan)
-
-
-def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
-    """True if the order is certainly more likely than the other orders in `orders`."""
-    return fit.ahead(orders) >= BELIEVED_NATS
 
 
 def tilt_findings(motion: Motion) -> Iterator[Finding]:

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 
 from imucald.config_check.gyro_axes import (
     AS_IT_IS,
+    RIGHT_HANDED,
     GyroFit,
     Order,
     fit_gyroscope,
-    is_decided,
-    right_handed_orders,
     signed,
+    tilt_findings,
 )
 from imucald.config_check.relation import Relation
 from imucald.core.samples import GRAVITY
@@ -127,6 +127,9 @@ class Sensors:
         self._found.append(accelerometer)
         speed = self._choose_speed()
         gyro = self._choose_gyroscope(reference)
+        tilted = [f.text for f in tilt_findings(reference.motion) if f.level == "error"]
+        if gyro is not None and tilted:
+            gyro.doubt = accelerometer.doubt = f"the gyroscope {tilted[0]}"
         heading = fit_heading(reference.motion, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
@@ -229,9 +232,8 @@ class Sensors:
         for triad in gyroscopes(self.candidates):
             if {m.path for m in triad.members} & self.taken:
                 continue
-            tried = (
-                [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
-            )
+            named = [order for order in RIGHT_HANDED if order[0] == AS_IT_IS[0]]
+            tried = named if triad.names_axes else RIGHT_HANDED
             fit = fit_gyroscope(triad.ticks, reference.motion, tried)
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
@@ -311,19 +313,19 @@ def gyroscope_choice(
     """Return three results: the choice, the order and signs to apply, and the triad (three signals
     x, y, z) in its unit and order."""
     unit, doubt = _unit(triad, fit)
-    places, signs = fit.order
+    places, sign = fit.order
     x, y, z = (triad.members[i] for i in places)
     ordered = Triad((x, y, z), unit, triad.names_axes)
     choice = Choice(
         "gyroscope",
-        axes_of(ordered, unit.name, signs[0]),
+        axes_of(ordered, unit.name, sign),
         _evidence(triad, fit),
-        _contradiction(fit) or doubt or _open_question(triad, fit),
-        [Alternative(axes_of(t, t.unit.name, f.order[1][0]), "another one") for t, f in others][
+        doubt or _open_question(triad, fit),
+        [Alternative(axes_of(t, t.unit.name, f.order[1]), "another one") for t, f in others][
             :MAX_ALTERNATIVES
         ],
     )
-    return choice, ((0, 1, 2), signs), ordered
+    return choice, (AS_IT_IS[0], sign), ordered
 
 
 def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
@@ -333,7 +335,7 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
     unit = triad.unit
     # In a vehicle, lateral forces tilt the body and add to gravity, so the gain of a weak relation
     # to gravity shows no unit. In a hand, the relation is strong.
-    if found.is_believed and found.low > 0.0 and found.explained >= SAME_MOTION:
+    if found.is_believed and found.sign > 0 and found.explained >= SAME_MOTION:
         size = unit.factor  # the relation was taken in this unit
         low, high = size * found.low / GAIN_TOLERANCE, size * found.high * GAIN_TOLERANCE
         first = triad.members[0]
@@ -351,22 +353,15 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
     return unit, f"no speed confirms it in turns, so its {what} may be wrong"
 
 
-def _contradiction(fit: GyroFit) -> str:
-    if fit.is_contradicted:
-        return "turns and slopes give different signs or axes"
-    return ""
-
-
 def _open_question(triad: Triad, fit: GyroFit) -> str:
     """Return a text about what the likelihoods do not decide (axes or signs); empty if they decide
     everything.
     """
-    orders, signs = right_handed_orders(), fit.order[1]
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"
-    if signs[0] < 0 and not is_decided(fit, [o for o in orders if o[1] != signs]):
+    if fit.order[1] < 0 and not fit.is_decided([o for o in RIGHT_HANDED if o[1] > 0]):
         return "the sign is not certain"
-    if not triad.names_axes and not is_decided(fit, orders):
+    if not triad.names_axes and not fit.is_decided(RIGHT_HANDED):
         return "the axis of each signal is not certain"
     return ""
 
@@ -383,7 +378,7 @@ def _evidence(triad: Triad, fit: GyroFit) -> str:
             "its rates explain how gravity turns in the accelerometer (correlation "
             f"{fit.carried.correlation:.2f})"
         )
-    if fit.order[1][0] < 0:
+    if fit.order[1] < 0:
         words.append("its signs are opposite to the signs of the accelerometer axes")
     words.append(
         "the axes follow from the names"
