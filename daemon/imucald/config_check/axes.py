@@ -8,7 +8,6 @@ import numpy as np
 
 from imucald.config.base import MAX_SPEED_DELAY
 from imucald.config_check.finding import (
-    MIN_TICKS,
     ODD_GAIN,
     Finding,
     gain_guess,
@@ -30,9 +29,6 @@ this [m/s^2]."""
 HANDED = 0.7
 """The handedness of the axes is clear if the magnitude of the triple product of the unit vectors
 forward, left and up is above this value."""
-NO_SPEED = 5.0
-"""A gain above this value cannot be caused by a wrong unit of speed, because the largest ratio of
-two units is 3.6."""
 LEAST_ACROSS = 0.4
 """The direction left is found only if the accelerometer shows at least this share of the
 centripetal acceleration."""
@@ -123,34 +119,21 @@ def turn_gain_findings(
 ) -> Iterator[Finding]:
     """Compare speed times yaw rate with the lateral specific force. This check is for drives in
     which only the gyroscope shows turns."""
-    up = motion.up
-    if list(rates) != ["gyroscope"] or up is None:
+    if list(rates) != ["gyroscope"] or motion.up is None or motion.accel is None:
         return
-    if motion.speed is None or motion.accel is None or motion.gravity is None:
+    if motion.speed is None or motion.change is None:
         return
-    rate = rates["gyroscope"]
-    # the unit of the speed was confirmed by its changes, or it was corrected
-    knows_speed = best_response(motion, rates) is not None
-    n = min(len(rate), len(motion.speed), len(motion.accel))
-    turn = motion.speed[:n] * rate[:n]
-    level = (motion.accel[:n] - motion.gravity) @ (np.eye(3) - np.outer(up, up))
-    turn = less(turn, motion.turn_zero[:n])
-    rows = np.isfinite(turn) & np.isfinite(level).all(axis=1)
-    if np.count_nonzero(rows) < MIN_TICKS or float(np.std(turn[rows])) == 0.0:
+    turn = motion.speed * rates["gyroscope"]
+    zero = motion.turn_zero
+    found = response(motion.accel, motion.up, motion.change, np.column_stack([turn, zero]))
+    size = 0.0 if found is None else float(np.linalg.norm(found.across))
+    if found is None or not size > 0.0 or not is_beyond(size, WRONG_UNIT):
         return
-    both = np.cov(level[rows].T, turn[rows])
-    across = both[3, :3] / both[3, 3]
-    force, size = level[rows] @ across, float(np.linalg.norm(across))
-    if float(np.std(force)) < MIN_ACROSS * size or not relation(turn[rows], force).is_same_motion:
+    force = motion.accel @ (found.across / size)
+    if spread(force) < MIN_ACROSS or not relation(less(turn, zero), force).is_same_motion:
         return
-    if not is_beyond(size, WRONG_UNIT):
-        return
-    if knows_speed or is_beyond(size, NO_SPEED):
-        name, product, other = "gyroscope", "its product with the speed", "speed"
-    else:
-        name, product, other = "speed", "its product with the gyroscope's rate", "gyroscope"
-    guess = gain_guess(1.0 / size, unit_advice.get(name))
-    text = f"compared with the lateral force in turns, {product} is {guess}"
-    yield Finding(
-        "error", name, text if knows_speed else f"{text}; or the unit of the {other} is wrong"
-    )
+    guess = gain_guess(1.0 / size, unit_advice.get("gyroscope"))
+    text = f"compared with the lateral force in turns, its product with the speed is {guess}"
+    if found.relation.explained < LIKE**2:  # nothing has confirmed the unit of the speed
+        text += "; or the unit of the speed is wrong"
+    yield Finding("error", "gyroscope", text)

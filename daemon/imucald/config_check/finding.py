@@ -8,14 +8,13 @@ from typing import Literal
 
 import numpy as np
 
+from imucald.config_check.motion import MIN_TICKS
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY, HEADING
 
 Level = Literal["error", "warning", "note", "ok"]
 
-MIN_TICKS = 200
-"""Smallest number of ticks in motion for a finding about motion: 20 s."""
 ODD_GAIN = 1.4
 """A gain above this (or below its inverse) is suspicious. Measured and simulated vehicles have
 gains of 0.8 to 1.2. A confusion of miles and kilometres multiplies the gain by 0.6 or 1.6."""

@@ -24,14 +24,13 @@ from imucald.config_check.axes import (
     turn_gain_findings,
 )
 from imucald.config_check.finding import (
-    MIN_TICKS,
     TURN_SIGN,
     Finding,
     gain_guess,
     is_beyond,
     spread,
 )
-from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.motion import MIN_TICKS, Motion, smooth, speed_ratio
 from imucald.config_check.moved_sensor import sensor_move
 from imucald.config_check.relation import relation
 from imucald.config_check.single_fault import explained
@@ -280,12 +279,9 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
     if motion.speed is None or "wheel_speeds" not in motion.grid:
         return
     wheels = np.abs(smooth(motion.grid["wheel_speeds"])).mean(axis=1)
-    n = min(len(wheels), len(motion.speed))
-    speed, wheels = np.abs(motion.speed[:n]), wheels[:n]
-    fast = np.nan_to_num(np.minimum(speed, wheels)) > 1.0
-    if np.count_nonzero(fast) < MIN_TICKS:
+    ratio = speed_ratio(motion.speed, wheels)
+    if ratio is None:
         return
-    ratio = float(np.median(speed[fast] / wheels[fast]))
     if is_beyond(ratio, WRONG_UNIT):
         text = f"compared with the wheel speeds {gain_guess(ratio, unit_advice)}"
         yield Finding("error", "speed", text, _WHEELS)

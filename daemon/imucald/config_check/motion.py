@@ -33,6 +33,8 @@ MOVING = 3.0
 """Smallest speed for the comparison of turns [m/s]. A slower vehicle may be reversing, and with an
 unsigned speed, left and right are then exchanged. A smaller speed would also be a division by
 nearly zero in the curvature."""
+MIN_TICKS = 200
+"""Smallest number of ticks in motion for a finding about motion: 20 s."""
 LARGEST_RATE = 1.0
 """Largest yaw rate from a course [rad/s]. A faster change is a jump of a receiver that begins to
 move."""
@@ -344,6 +346,16 @@ def rate_about(up: Array, rate: Array, standing: Flags | None) -> Array:
 def moving(speed: Array) -> Array:
     """Return a speed (n,) [m/s]; NaN where it is not above `MOVING`."""
     return np.where(np.abs(speed) > MOVING, speed, np.nan)
+
+
+def speed_ratio(speed: Array, other: Array) -> float | None:
+    """Return the median ratio of two speeds (n,) [m/s] where both exceed 1 m/s; None if that is too
+    seldom. The delay of one of them changes the median little."""
+    speed, other = np.abs(speed), np.abs(other)
+    fast = np.nan_to_num(np.minimum(speed, other)) > 1.0
+    if np.count_nonzero(fast) < MIN_TICKS:
+        return None
+    return float(np.median(speed[fast] / other[fast]))
 
 
 def right_less_left(fl: Array, fr: Array, rl: Array, rr: Array) -> Array:

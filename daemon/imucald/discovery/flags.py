@@ -44,10 +44,6 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
     sure = [f for f in found if f.nats >= BELIEVED_NATS + math.log(len(found))]
     if sure:
         best = sure[0]
-        named = hint("reverse", best.candidate) or _names_reverse(best.candidate.signal)
-        named_ones = [f for f in sure if hint("reverse", f.candidate)]
-        if not named and named_ones:
-            best = named_ones[0]
         text = (
             f"when it is {best.level:g}, accelerometer and change of speed have opposite "
             f"signs (correlation {best.correlation:+.2f}); it is never on above "

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imucald.config_check.motion import Motion, change_of
+from imucald.config_check.motion import Motion, change_of, speed_ratio
 from imucald.config_check.relation import Relation, is_better, relation
 from imucald.config_check.response import response
 from imucald.core.arrays import Array
@@ -122,12 +122,9 @@ def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
 
 
 def apart_from(fit: SpeedFit, mean: Array) -> float:
-    """Return the relative difference between a speed and the mean wheel speed (rms)."""
-    own = np.abs(fit.candidate.smooth * fit.unit.factor)
-    rows = np.isfinite(own) & np.isfinite(mean)
-    if np.count_nonzero(rows) < 50 or not mean[rows].any():
-        return np.inf
-    return float(np.sqrt(((own - mean)[rows] ** 2).mean() / (mean[rows] ** 2).mean()))
+    """Return the relative difference between a speed and the mean wheel speed."""
+    ratio = speed_ratio(fit.candidate.smooth * fit.unit.factor, mean)
+    return np.inf if ratio is None else abs(ratio - 1.0)
 
 
 def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:

@@ -130,6 +130,8 @@ class Sensors:
         tilted = [f.text for f in tilt_findings(reference.motion) if f.level == "error"]
         if gyro is not None and tilted:
             gyro.doubt = accelerometer.doubt = f"the gyroscope {tilted[0]}"
+            reference.motion = reference.motion.without("gyro")
+            reference.shows_left = False
         heading = fit_heading(reference.motion, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
