@@ -32,7 +32,7 @@ from imucald.discovery.flags import (
     unseen_reverse,
 )
 from imucald.discovery.heading import heading_choice
-from imucald.discovery.mirrored import hold_against_usual_signs
+from imucald.discovery.mirrored import doubt_both_sensors, hold_against_usual_signs
 from imucald.discovery.names import by_names
 from imucald.discovery.not_found import not_found
 from imucald.discovery.proposal import Choice, Proposal
@@ -227,6 +227,8 @@ def choices_from(
     ]
     chosen = [c for c in found if c is not None]
     hold_against_usual_signs(chosen, sensors.heading)
+    if sensors.contradiction:
+        doubt_both_sensors(chosen, sensors.contradiction)
     unused = [c for c in plain if c.path not in sensors.taken]
     chosen += by_names(unused, {c.quantity for c in chosen})
     rates = {c.path: 1.0 / c.cycle for c in candidates if c.cycle > 0.0 and c.x.size > 1}

@@ -56,6 +56,16 @@ def hold_against_usual_signs(choices: Sequence[Choice], heading: HeadingFit | No
     _exchange_wheels(by_name.get("wheel_speeds"))
 
 
+def doubt_both_sensors(choices: Sequence[Choice], contradiction: str) -> None:
+    """Add a doubt to an accelerometer and a gyroscope that contradict each other, and to all signs
+    that follow from them."""
+    for choice in choices:
+        if choice.quantity in ("accelerometer", "gyroscope"):
+            choice.doubt = choice.doubt or contradiction
+        elif choice.quantity in SIDED or BY_TURNS in choice.evidence:
+            choice.doubt = choice.doubt or WITH_IT
+
+
 def _exchange_wheels(wheels: Choice | None) -> None:
     """Exchange left and right wheels after the accelerometer was reversed."""
     if wheels is not None and wheels.doubt == EXCHANGED:

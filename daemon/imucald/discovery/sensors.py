@@ -91,6 +91,8 @@ class Sensors:
         """Axes of other accelerometers on the bus. The mounts of these accelerometers are not
         known."""
         self.heading: HeadingFit | None = None
+        self.contradiction = ""
+        """Text about an accelerometer and a gyroscope that contradict each other; else empty."""
         self._found: list[Choice | None] = []
         self._speeds: list[SpeedFit] = []
         triads = accelerometers(candidates)
@@ -127,11 +129,9 @@ class Sensors:
         self._found.append(accelerometer)
         speed = self._choose_speed()
         gyro = self._choose_gyroscope(reference)
-        tilted = [f.text for f in tilt_findings(reference.motion) if f.level == "error"]
-        if gyro is not None and tilted:
-            gyro.doubt = accelerometer.doubt = f"the gyroscope {tilted[0]}"
-            reference.motion = reference.motion.without("gyro")
-            reference.shows_left = False
+        for finding in tilt_findings(reference.motion):
+            if finding.level == "error":
+                self.contradiction = f"the gyroscope {finding.text}"
         heading = fit_heading(reference.motion, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
