@@ -24,8 +24,8 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.contradictions import LIKE, WRONG_UNIT
 
 MIN_BRAKING = 0.25
-"""The response of the accelerometer is judged only if the standard deviation of dv/dt is at least
-this [m/s^2]."""
+"""The response of the accelerometer is judged only if the standard deviation of the acceleration
+along the vehicle is at least this [m/s^2], whatever the unit of the speed."""
 HANDED = 0.7
 """The handedness of the axes is clear if the magnitude of the triple product of the unit vectors
 forward, left and up is above this value."""
@@ -43,15 +43,15 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     """Return the response to changes of speed and to turns; None if it is not clear."""
     if motion.change is None or motion.accel is None or motion.speed is None or motion.up is None:
         return None
-    if spread(motion.change) < MIN_BRAKING:
-        return None
     name = _shows_turns(rates)
     others = None
     if name is not None:
         zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
         others = np.column_stack([motion.speed * rates[name], zero])
     found = response(motion.accel, motion.up, motion.change, others)
-    return found if found is not None and found.relation.explained >= LIKE**2 else None
+    if found is None or found.gain * spread(motion.change) < MIN_BRAKING:
+        return None
+    return found if found.relation.explained >= LIKE**2 else None
 
 
 def _shows_turns(rates: Mapping[str, Array]) -> str | None:

@@ -54,11 +54,6 @@ class Triad:
     """Robust relative standard deviation of the size."""
 
     @property
-    def smooth(self) -> Array:
-        """Smoothed values (n, 3) in SI."""
-        return np.column_stack([m.smooth for m in self.members]) * self.unit.factor
-
-    @property
     def ticks(self) -> Array:
         """Values (n, 3) in SI."""
         return np.column_stack([m.x for m in self.members]) * self.unit.factor
