@@ -7,8 +7,9 @@ axes with g' = -omega x g. Each order of the axes of a right-handed sensor is co
 facts, by likelihood. Offsets and accelerations due to the speed are fitted, so they have
 no effect. `fit_gyroscope` is for `init`, which does not know the unit.
 
-`tilt_findings` is for `check`, which knows it: the judge of the daemon, `mount.gyro_alternatives`,
-over the whole recording.
+`tilt_ratio` judges axes in a known unit, with the judge of the daemon (`mount.gyro_alternatives`)
+over the whole recording. `check` asks it about the configured axes, `init` about the axes that it
+found.
 """
 
 from __future__ import annotations
@@ -36,6 +37,11 @@ pitching."""
 STEADY_UP = 0.97
 """Smallest mean resultant length of the force's direction at which gravity counts as constant in
 sensor axes. With slopes and manoeuvres, the direction in a vehicle stays within 15 deg."""
+
+TILTS_DIFFERENTLY = (
+    "does not tilt as the accelerometer does: one axis of the gyroscope or of the accelerometer "
+    "has the wrong sign, two axes are exchanged, or the sensor moves in its holder"
+)
 
 Order = tuple[tuple[int, int, int], int]
 """Which gyroscope axes are x, y, z, and the sign of all axes."""
@@ -178,13 +184,34 @@ def _integrated(rate: Array) -> Array:
 
 
 def tilt_findings(motion: Motion) -> Iterator[Finding]:
-    """Check that gyroscope and accelerometer show the same changes of the vertical's direction
-    (`mount.gyro_alternatives`). Both have the right unit, and the direction forward is known."""
+    """Check that gyroscope and accelerometer show the same changes of the vertical's direction."""
+    ratio = tilt_ratio(motion)
+    if ratio is None:
+        return
+    if ratio < -TO_ACCUSE:
+        yield Finding("error", "gyroscope", TILTS_DIFFERENTLY)
+    elif ratio > TO_BE_FINE:
+        yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
+    elif motion.standing is None:
+        text = (
+            "not checked: the sign of each axis of the gyroscope (the drive has no stop, so "
+            "its zero error is unknown)"
+        )
+        yield Finding("note", "check", text)
+
+
+def tilt_ratio(motion: Motion) -> float | None:
+    """Return the log likelihood ratio of the gyroscope's axes to the best of `TRIED` alternatives:
+    another order, or other signs. Negative: an alternative is likelier. None without evidence.
+
+    Both sensors and the speed must be in SI, and the direction forward must be known
+    (`Motion.facing`).
+    """
     accel, gravity, up, forward = motion.accel, motion.gravity, motion.up, motion.forward
     if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
-        return
+        return None
     if accel is None or gravity is None or up is None or forward is None:
-        return
+        return None
     rate = smooth(motion.grid["gyro"])
     R = np.array([forward, np.cross(up, forward), up])
     force = (accel - gravity) @ R.T
@@ -195,7 +222,7 @@ def tilt_findings(motion: Motion) -> Iterator[Finding]:
         if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING
     ]
     if not blocks:
-        return
+        return None
     zeros = _zeros(motion, rate, np.concatenate(blocks)[:, 4:], up)
     total = np.zeros(len(TRIED) - 1)
     for block in blocks:
@@ -206,21 +233,7 @@ def tilt_findings(motion: Motion) -> Iterator[Finding]:
         if len(zeros) > 1:  # of each assignment with its own zero error
             energies = [np.array([one[k] for k, one in enumerate(energies)])]
         total += np.clip(ratios_of(energies[0]), -MOST, MOST)
-    if total.min() < -TO_ACCUSE:
-        text = (
-            "does not tilt as the accelerometer does: one axis of the gyroscope or of the "
-            "accelerometer has the wrong sign, two axes are exchanged, or the sensor moves "
-            "in its holder"
-        )
-        yield Finding("error", "gyroscope", text)
-    elif total.min() > TO_BE_FINE:
-        yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
-    elif motion.standing is None:
-        text = (
-            "not checked: the sign of each axis of the gyroscope (the drive has no stop, so "
-            "its zero error is unknown)"
-        )
-        yield Finding("note", "check", text)
+    return float(total.min())
 
 
 def _zeros(motion: Motion, rate: Array, moving: Array, up: Array) -> list[Array]:

@@ -8,13 +8,14 @@ from collections.abc import Iterator, Sequence
 from imucald.config_check.gyro_axes import (
     AS_IT_IS,
     RIGHT_HANDED,
+    TILTS_DIFFERENTLY,
     GyroFit,
     Order,
     fit_gyroscope,
     signed,
-    tilt_findings,
+    tilt_ratio,
 )
-from imucald.config_check.relation import Relation
+from imucald.config_check.relation import BELIEVED_NATS, Relation
 from imucald.core.samples import GRAVITY
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import (
@@ -129,9 +130,9 @@ class Sensors:
         self._found.append(accelerometer)
         speed = self._choose_speed()
         gyro = self._choose_gyroscope(reference)
-        for finding in tilt_findings(reference.motion):
-            if finding.level == "error":
-                self.contradiction = f"the gyroscope {finding.text}"
+        tilt = tilt_ratio(reference.motion)
+        if tilt is not None and tilt < -BELIEVED_NATS:
+            self.contradiction = f"the gyroscope {TILTS_DIFFERENTLY}"
         heading = fit_heading(reference.motion, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
