@@ -60,7 +60,9 @@ def doubt_both_sensors(choices: Sequence[Choice], contradiction: str) -> None:
     """Add a doubt to an accelerometer and a gyroscope that contradict each other, and to all signs
     that follow from them."""
     for choice in choices:
-        if choice.quantity in ("accelerometer", "gyroscope"):
+        if choice.quantity == "gyroscope":
+            choice.doubt = contradiction
+        elif choice.quantity == "accelerometer":
             choice.doubt = choice.doubt or contradiction
         elif choice.quantity in SIDED or BY_TURNS in choice.evidence:
             choice.doubt = choice.doubt or WITH_IT
