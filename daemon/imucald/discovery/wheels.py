@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -30,8 +30,6 @@ more similar signals, only messages with exactly four of them are used."""
 IN_ORDER = "right wheels are faster in left turns"
 BY_TURNS = "left and right follow from the yaw rate"
 EXCHANGED = "the recording shows that left and right are exchanged"
-
-_Ends = Callable[[int, int], Relation]
 
 
 def wheel_sets(candidates: Sequence[SeenSignal]) -> Iterator[tuple[SeenSignal, ...]]:
@@ -82,89 +80,67 @@ def find_wheels(
     """
     named = [wheel_by_name(c.signal.name) for c in four]
     by_name = sorted(n or "" for n in named) == sorted(WHEELS)
-    sides, further = _turning(four, unit, motion)
     if by_name:
-        order = [named.index(w) for w in WHEELS]
-        track = _track(four, order, unit, motion)
-        text = "the names show the wheel of each"
-        if track is not None and track.is_believed:
-            text += f"; {IN_ORDER if track.sign > 0 else IN_ORDER.replace('right', 'LEFT')}"
-            if track.sign < 0:
-                doubt = EXCHANGED
-        return _choice(four, order, unit, text, doubt), _metres(track)
-    order, text, unsure = _by_turns(four, sides, further)
+        order, text, unsure = (
+            [named.index(w) for w in WHEELS],
+            "the names show the wheel of each",
+            "",
+        )
+    else:
+        order, text, unsure = _by_turns(four, unit, motion)
     track = _track(four, order, unit, motion)
-    return _choice(four, order, unit, text, doubt or unsure), _metres(track)
-
-
-def _choice(
-    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, text: str, doubt: str
-) -> Choice:
+    if by_name and track is not None and track.is_believed:
+        text += f"; {IN_ORDER if track.sign > 0 else IN_ORDER.replace('right', 'LEFT')}"
+        doubt = EXCHANGED if track.sign < 0 else doubt
     sources: dict[str, Proposed] = {
         wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
     }
-    return Choice("wheel_speeds", sources, f"four similar speeds; {text}", doubt)
-
-
-def _turning(
-    four: Sequence[SeenSignal], unit: UnitChoice, motion: Motion
-) -> tuple[list[Relation], _Ends]:
-    """Return each wheel's relation to the curvature, and a function that compares two wheels in
-    bends."""
-    turn = motion.turn
-    if turn is None:
-        return [Relation()] * 4, lambda _a, _b: Relation()
-    table = np.column_stack([c.smooth for c in four]) * unit.factor
-    v = moving(table.mean(axis=1))
-    curvature = turn / v
-    sides = [relation(curvature, table[:, i] / v) for i in range(4)]
-    drive = np.zeros(len(v)) if motion.change is None else motion.change
-    known = np.column_stack([curvature, drive, v])  # side, slip with acceleration, size of the tyre
-
-    def further(a: int, b: int) -> Relation:
-        """Compare the difference of two wheel speeds with the square of the curvature."""
-        return relation(less(curvature**2, known), less((table[:, a] - table[:, b]) / v, known))
-
-    return sides, further
+    words = f"four similar speeds; {text}"
+    return Choice("wheel_speeds", sources, words, doubt or unsure), _metres(track)
 
 
 def _by_turns(
-    four: Sequence[SeenSignal], sides: list[Relation], further: _Ends
+    four: Sequence[SeenSignal], unit: UnitChoice, motion: Motion
 ) -> tuple[list[int], str, str]:
     """Return the indices of the wheels in the order front left, front right, rear left, rear right,
     then the evidence, then the doubt."""
+    unknown = (
+        [0, 1, 2, 3],
+        "the wheels are in the order of their bits",
+        "the wheel of each signal is not known",
+    )
+    if motion.turn is None:
+        return unknown
+    table = np.column_stack([c.smooth for c in four]) * unit.factor
+    v = moving(table.mean(axis=1))
+    curvature = motion.turn / v
+    sides = [relation(curvature, table[:, i] / v) for i in range(4)]
     right = [i for i in range(4) if sides[i].sign > 0]
     left = [i for i in range(4) if i not in right]
     if len(right) != 2 or not all(s.is_believed for s in sides):
-        return (
-            [0, 1, 2, 3],
-            "the wheels are in the order of their bits",
-            "the wheel of each signal is not known",
-        )
-    front_left, rear_left, sure_left = _front_first(left, further)
-    front_right, rear_right, sure_right = _front_first(right, further)
-    same_rows = (front_left < rear_left) == (front_right < rear_right)
-    text = BY_TURNS
-    order = [front_left, front_right, rear_left, rear_right]
-    if sure_left and sure_right and same_rows:
-        return order, f"{text}, front and rear from the distances that the wheels roll in bends", ""
-    left.sort()
-    right.sort()
+        return unknown
+    drive = np.zeros(len(v)) if motion.change is None else motion.change
+    known = np.column_stack([curvature, drive, v])  # side, slip with acceleration, size of the tyre
+    squared = less(curvature**2, known)
+
+    def front_first(a: int, b: int) -> tuple[int, int, bool]:
+        """Return two wheels with the front wheel (the faster wheel in bends) first, and whether
+        this order is sure.
+
+        The path of a front wheel is longer by half of the square of wheelbase times curvature.
+        """
+        found = relation(squared, less((table[:, a] - table[:, b]) / v, known))
+        low, high = HALF_SQUARE
+        sure = found.is_believed_of(2) and low < found.low < high
+        return (b, a, sure) if found.sign < 0 else (a, b, sure)
+
+    front_left, rear_left, sure_left = front_first(*left)
+    front_right, rear_right, sure_right = front_first(*right)
+    if sure_left and sure_right and (front_left < rear_left) == (front_right < rear_right):
+        text = f"{BY_TURNS}, front and rear from the distances that the wheels roll in bends"
+        return [front_left, front_right, rear_left, rear_right], text, ""
     order = [left[0], right[0], left[1], right[1]]
-    return order, text, "the front wheels are guessed from the order of the signals"
-
-
-def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
-    """Return two wheels with the front wheel (the faster wheel in bends) first, and whether this
-    order is sure.
-
-    The path of a front wheel is longer by half of the square of wheelbase times curvature.
-    """
-    a, b = pair
-    found = further(a, b)
-    low, high = HALF_SQUARE
-    sure = found.is_believed_of(2) and low < found.low < high
-    return (b, a, sure) if found.sign < 0 else (a, b, sure)
+    return order, BY_TURNS, "the front wheels are guessed from the order of the signals"
 
 
 def _track(
