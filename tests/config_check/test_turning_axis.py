@@ -65,6 +65,13 @@ def test_a_wrong_unit_of_the_speed_is_no_gyroscopes(factor):
     assert {f.quantity for f in found if f.level in ("error", "warning")} == {"speed"}
 
 
+@pytest.mark.slow
+def test_a_wrong_unit_of_the_gyroscope_is_no_wrong_axis():
+    errors = [f.text for f in findings(gyro=np.degrees(1.0) * np.eye(3)) if f.level == "error"]
+    assert len(errors) == 1
+    assert "deg against rad" in errors[0]
+
+
 EXCHANGED = {
     "y, z": np.eye(3)[[0, 2, 1]],
     "x, z": np.eye(3)[[2, 1, 0]],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -19,6 +20,7 @@ from imucald.config_check.motion import Motion, less
 from imucald.config_check.relation import relation
 from imucald.config_check.response import Response, response
 from imucald.config_check.yaw_rate_check import MIN_TURNING
+from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_S
 from imucald.mount.contradictions import LIKE, WRONG_UNIT
@@ -29,6 +31,8 @@ along the vehicle is at least this [m/s^2], whatever the unit of the speed."""
 HANDED = 0.7
 """The handedness of the axes is clear if the magnitude of the triple product of the unit vectors
 forward, left and up is above this value."""
+UNITS_APART = math.sqrt(DEG_PER_RAD)
+"""A gain of a rate beyond this is nearer to a confusion of degrees and radians than to 1."""
 LEAST_ACROSS = 0.4
 """The direction left is found only if the accelerometer shows at least this share of the
 centripetal acceleration."""
@@ -98,7 +102,9 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
     found = best_response(motion, rates)
     if found is None or motion.up is None:
         return
-    yield from tilt_findings(motion.facing(found.forward, found.delay))
+    in_turns = _response_to_turns(motion, rates)
+    if in_turns is None or not is_beyond(in_turns[1], UNITS_APART):  # else its unit is wrong
+        yield from tilt_findings(motion.facing(found.forward, found.delay))
     size = float(np.linalg.norm(found.across))
     if size < LEAST_ACROSS:
         return
@@ -119,21 +125,30 @@ def turn_gain_findings(
 ) -> Iterator[Finding]:
     """Compare speed times yaw rate with the lateral specific force. This check is for drives in
     which only the gyroscope shows turns."""
-    if list(rates) != ["gyroscope"] or motion.up is None or motion.accel is None:
+    in_turns = _response_to_turns(motion, rates) if list(rates) == ["gyroscope"] else None
+    if in_turns is None or not is_beyond(in_turns[1], WRONG_UNIT):
         return
-    if motion.speed is None or motion.change is None:
-        return
-    turn = motion.speed * rates["gyroscope"]
-    zero = motion.turn_zero
-    found = response(motion.accel, motion.up, motion.change, np.column_stack([turn, zero]))
-    size = 0.0 if found is None else float(np.linalg.norm(found.across))
-    if found is None or not size > 0.0 or not is_beyond(size, WRONG_UNIT):
-        return
-    force = motion.accel @ (found.across / size)
-    if spread(force) < MIN_ACROSS or not relation(less(turn, zero), force).is_same_motion:
-        return
+    found, size = in_turns
     guess = gain_guess(1.0 / size, unit_advice.get("gyroscope"))
     text = f"compared with the lateral force in turns, its product with the speed is {guess}"
     if found.relation.explained < LIKE**2:  # nothing has confirmed the unit of the speed
         text += "; or the unit of the speed is wrong"
     yield Finding("error", "gyroscope", text)
+
+
+def _response_to_turns(motion: Motion, rates: Mapping[str, Array]) -> tuple[Response, float] | None:
+    """Return the response to the turns that the gyroscope shows, and the lateral force divided by
+    speed times yaw rate; None if the force does not show these turns."""
+    if "gyroscope" not in rates or motion.up is None or motion.accel is None:
+        return None
+    if motion.speed is None or motion.change is None:
+        return None
+    turn, zero = motion.speed * rates["gyroscope"], motion.turn_zero
+    found = response(motion.accel, motion.up, motion.change, np.column_stack([turn, zero]))
+    size = 0.0 if found is None else float(np.linalg.norm(found.across))
+    if found is None or not size > 0.0:
+        return None
+    force = motion.accel @ (found.across / size)
+    if spread(force) < MIN_ACROSS or not relation(less(turn, zero), force).is_same_motion:
+        return None
+    return found, size
