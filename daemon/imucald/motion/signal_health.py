@@ -186,24 +186,6 @@ class SignalHealth:
         self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
         return self._note_stuck("yaw_rate", flags)
 
-    def sensor_moves(self, signal: str) -> None:
-        """Process new ticks in which "accel" or "gyro" is not stuck, because its mean never
-        repeats."""
-        self._sensors[signal].restart()
-        self.found.pop((signal, SignalFault.STUCK), None)
-
-    def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
-        """Process new ticks in which "speed" or "yaw_rate" has short runs only. Returns False if
-        `flags` must test these ticks.
-
-        The arguments are those of `StuckSignal.take_short_runs`. No speed may be zero.
-        """
-        if not self._signals[signal].take_short_runs(first, driven, change):
-            return False
-        self.stuck_now[signal] = False
-        self.found.pop((signal, SignalFault.STUCK), None)
-        return True
-
     def _note_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags
         self._count(signal, SignalFault.STUCK, flags[self._new])
@@ -233,29 +215,6 @@ class SignalHealth:
                     out |= spread_out(ticks, hold)
         return out
 
-    def calm_blocks(
-        self,
-        rows: Array,
-        force: Array,
-        ok_force: Flags,
-        speed: Array,
-        ok_speed: Flags,
-        turning: Array,
-    ) -> list[bool]:
-        """Return for each block (B, N, COLUMNS) whether `untrusted` finds no fault.
-
-        The result is also valid if the vehicle turns faster than `turning`, up to MAX_ROAD_RATE.
-        """
-        any_fault = np.zeros(len(rows), dtype=bool)
-        for flags in self._faults(rows, force, ok_force, speed, ok_speed, turning).values():
-            any_fault |= flags.reshape(len(rows), -1).any(axis=1)
-        return [not one for one in any_fault.tolist()]
-
-    def are_trusted(self) -> None:
-        """Process new ticks in which `untrusted` finds no fault."""
-        for key in [key for key in self.found if key[1] is not SignalFault.STUCK]:
-            del self.found[key]
-
     def _faults(
         self,
         rows: Array,
@@ -265,9 +224,7 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> dict[tuple[str, SignalFault], Flags]:
-        """Return the faults. The arguments are those of `untrusted`, for one block or for several
-        blocks (B, N).
-        """
+        """Return the faults. The arguments are those of `untrusted`."""
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=-1)
         wild = np.abs(slope(speed)) > MAX_ROAD_DVDT

@@ -61,32 +61,6 @@ def runs_of(values: Array, same: float) -> EqualRuns:
     return EqualRuns(first, last, change)
 
 
-SHORT_TICKS = 11
-"""Length of a run, in ticks, that is always shorter than MIN_STUCK_S."""
-
-
-def short_runs(
-    values: Array, same: float, leaving: int
-) -> tuple[NDArray[np.bool_], Places, Places, Places, Array]:
-    """Return the runs in each row of values (B, N) that end among the first `leaving` values.
-
-    The first result (B,) is True if all runs of a row are short and none continues beyond the first
-    `leaving` values. The other four results have one entry for each run (M,): row of the run,
-    places of its first and last value, and size of the change that ends the run.
-    """
-    change = np.abs(values[:, 1:] - values[:, :-1])
-    is_over = change > same
-    ended = np.zeros(values.shape, np.int64)
-    np.cumsum(is_over, axis=1, out=ended[:, 1:])
-    simple = (ended[:, SHORT_TICKS:] > ended[:, :-SHORT_TICKS]).all(axis=1)
-    simple &= is_over[:, leaving - 1]
-    row, last = np.nonzero(is_over[:, :leaving])
-    first = np.zeros_like(last)
-    goes_on = np.flatnonzero(row[1:] == row[:-1])
-    first[goes_on + 1] = last[goes_on] + 1
-    return simple, row, first, last, change[row, last]
-
-
 class UsualRuns:
     """The last RUNS_REMEMBERED runs that ended: duration of each run, and the change after it."""
 
@@ -429,19 +403,6 @@ class StuckSignal:
         so_far = run.lasted + count[:, leaving] - count[:, begins[i]]
         self._open = _OpenRun(float(values[first[i]]), so_far, low, gained, bool(stuck[i]))
         return one_more(out)
-
-    def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
-        """Process ticks in which the signal has short runs only, see `short_runs`.
-
-        first: first value of the ticks. driven: (M,) number of driving ticks in each run. change:
-        (M,) change of the value after each run. Returns False if the first run continues an earlier
-        run. The caller must then call `flags`.
-        """
-        if abs(first - self._open.value) <= self._same:
-            return False
-        self._ended.add_ended_runs(driven, change)
-        self.restart()
-        return True
 
     def _limit(self) -> float:
         """Return the length [ticks of 0.1 s] above which a run may be stuck; infinite until the
