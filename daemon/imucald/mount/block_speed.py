@@ -4,6 +4,7 @@ rest."""
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -69,13 +70,13 @@ class BlockSpeed:
         t: Array,
         at: Array,
         even: EvenBlock | None,
-        seen: SeenForward | None,
+        seen: Callable[[], SeenForward | None],
     ) -> tuple[Array, Flags, bool]:
         """Return the speed (N + 2,) of a block, a flag for each value that is known, and whether
         this speed equals the speed in `even`.
 
         rows: (ROWS, COLUMNS) ticks. t: end times of `rows` [s]. at: (N + 2,) times of the returned
-        speed [s]. seen: the speed changes that the accelerometer shows, for all ticks.
+        speed [s]. seen: gives the speed changes that the accelerometer shows, for all ticks.
         """
         driven = None if even is None else even.driven
         stuck = self._health.stuck_speed(rows, seen)

@@ -216,9 +216,7 @@ class SignalBlockMaker:
         rate, ok_rate, rate_is_even = self._rate(t, at, even)
         driven = even.driven if even is not None and is_even and rate_is_even else None
         self.blocks += 1
-        speed, ok_speed, is_even = self._speed.speed_in_block(
-            rows, t, at, even, self._seen_forward()
-        )
+        speed, ok_speed, is_even = self._speed.speed_in_block(rows, t, at, even, self._seen_forward)
         driven = driven if is_even else None
         if driven is None or not driven.rolls:
             size = rate if ok_rate.any() else None
