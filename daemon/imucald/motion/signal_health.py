@@ -128,7 +128,7 @@ class SignalHealth:
         stuck."""
 
     def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
-        """Copy the usual repeat times of these channels from another object."""
+        """Copy the usual changes of these channels from another object."""
         for channel, signal in self._signals.items():
             if channel in channels:
                 signal.take_usual(former._signals[channel])

@@ -7,8 +7,8 @@ sensor without another signal.
 `model_compensation.held_repeats` does not look for stuck sensors: it keeps a stuck sensor
 recognisable.
 
-`EqualRuns` holds the places of the runs of equal values. `UsualRuns` holds the usual duration of
-these runs.
+`EqualRuns` holds the places of the runs of equal values, `UsualChanges` the size of the changes
+between them.
 """
 
 from __future__ import annotations
@@ -33,11 +33,9 @@ Places = NDArray[np.int64]
 
 MIN_STUCK_TICKS = 12
 """Longest run of equal values, in ticks of 0.1 s, that is never stuck."""
-TIMES_USUAL = 4.0
-"""Smallest ratio of a stuck run to the usual run."""
 RUNS_REMEMBERED = 200
 MIN_RUNS = 50
-"""Number of runs after which a signal can count as stuck."""
+"""Number of runs after which a signal that may repeat its values can count as stuck."""
 
 
 class EqualRuns(NamedTuple):
@@ -62,53 +60,31 @@ def runs_of(values: Array, same: float) -> EqualRuns:
     return EqualRuns(first, last, change)
 
 
-class UsualRuns:
-    """The last RUNS_REMEMBERED runs that ended: duration of each run, and the change after it."""
+class UsualChanges:
+    """The changes after the last RUNS_REMEMBERED runs that ended."""
 
     def __init__(self) -> None:
-        self._runs = np.zeros((RUNS_REMEMBERED, 2))
+        self._changes = np.zeros(RUNS_REMEMBERED)
         self._ended = 0
 
-    def add_ended_runs(self, lasted: Array, change: Array) -> None:
-        """Store runs that ended: durations (M,), and changes (M,) after the runs."""
-        if not len(lasted):
-            return
-        place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
-        self._runs[place, 0], self._runs[place, 1] = lasted, change
-        self._ended += len(lasted)
+    def add_changes(self, changes: Array) -> None:
+        """Store the changes (M,) after runs."""
+        self._changes[(self._ended + np.arange(len(changes))) % RUNS_REMEMBERED] = changes
+        self._ended += len(changes)
 
     @property
     def known(self) -> bool:
-        """True if enough runs have ended to know the usual length."""
+        """True if enough runs have ended to know the usual change."""
         return self._ended >= MIN_RUNS
 
-    def repeated(self, share: float, times: float) -> float:
-        """Return the mean duration of the runs of a sender that repeats its values, weighted by
-        duration. 0: the sender does not repeat.
-
-        A sender repeats if most of its changes are larger than `times` its step. The step is the
-        change that the share `share` of all changes does not exceed.
-        """
-        lasted, change = self._runs[: self._ended].T
-        is_jump = change > times * self.change(share)
-        if 2 * np.count_nonzero(is_jump) <= len(change):
-            return 0.0
-        return float(lasted[is_jump] @ lasted[is_jump] / lasted[is_jump].sum())
-
-    def change(self, share: float) -> float:
-        """Return the change that this share of all changes does not exceed."""
-        return quantile(self._runs[: self._ended, 1], share)
-
-
-def quantile(values: Array, share: float) -> float:
-    """Return a quantile of values (N,). `numpy.quantile` gives the same result, but imports masked
-    arrays (7 ms, 1.2 MiB).
-    """
-    ordered = np.sort(values)
-    place = share * (len(ordered) - 1)
-    low = int(place)
-    high = min(low + 1, len(ordered) - 1)
-    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
+    def most(self, share: float) -> float:
+        """Return the change that this share of all changes does not exceed (`numpy.quantile`, which
+        imports masked arrays: 7 ms, 1.2 MiB)."""
+        ordered = np.sort(self._changes[: self._ended])
+        place = share * (len(ordered) - 1)
+        low = int(place)
+        high = min(low + 1, len(ordered) - 1)
+        return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
 
 
 BEFORE_RUN = 12
@@ -132,10 +108,6 @@ holds a value back by one step, and a sender's dead band holds a value back by t
 SMOOTH = np.full(10, 0.1)
 """Weights of a mean over a second. The other yaw rate is averaged because vibration is not a
 turn."""
-SPLIT, JUMPS = 0.1, 1.5
-"""Share of changes that may be smaller than the signal's step, because means over ticks split a
-step. Most changes of a sender that repeats its values are larger than `JUMPS` steps.
-"""
 LARGE = 0.9
 """Quantile of the changes that is used as the possible error of a signal, because means over ticks
 split steps."""
@@ -290,11 +262,10 @@ class StuckSignal:
     A sensor's values always change because of noise, so the other signal is that the vehicle rolls
     (`by_rolling`). A coarse signal of the vehicle keeps a value for minutes while the vehicle keeps
     its speed or direction, so it is compared with a signal that measures the same (`by_force`,
-    `by_turning`). A run of the speed is also compared with the ticks before the run. A sender that
-    repeats each value several times has long runs all the time: it may repeat for four of its usual
-    runs. A signal that got stuck before the vehicle stopped is flagged at rest too. Without another
-    signal, the signal is never stuck. The tick after a stuck run is flagged as well, because its
-    mean may contain stuck samples.
+    `by_turning`), within a usual change of its own. A run of the speed is also compared with the
+    ticks before the run. A signal that got stuck before the vehicle stopped is flagged at rest too.
+    Without another signal, the signal is never stuck. The tick after a stuck run is flagged as
+    well, because its mean may contain stuck samples.
 
     count: column of the signal's number of samples. means: columns of its means. same: largest
     difference between two equal values. repeats: True if sound senders may repeat values.
@@ -303,13 +274,12 @@ class StuckSignal:
     def __init__(self, count: int, means: slice, same: float, repeats: bool = True) -> None:
         self._count, self._means, self._same = count, means, same
         self._repeats = repeats
-        self._ended = UsualRuns()
-        """Ended runs: number of driving ticks in each run, and the change after the run."""
+        self._usual = UsualChanges()
         self.restart()
 
     def take_usual(self, former: StuckSignal) -> None:
-        """Copy the ended runs of another object."""
-        self._ended = former._ended
+        """Copy the usual changes of another object."""
+        self._usual = former._usual
 
     def restart(self) -> None:
         """Restart after a jump of time: the open run ends."""
@@ -321,8 +291,8 @@ class StuckSignal:
         """Return flags of the ticks (N,) at which the signal is stuck.
 
         rows: (N, COLUMNS). leaving: number of first rows that the next call does not contain.
-        driving: (N,) flags of the ticks in which the vehicle drives. Other ticks do not count for
-        the usual length of runs. other: gives the evidence of the other signal, or None. It is
+        driving: (N,) flags of the ticks in which the vehicle drives. Runs in other ticks do not
+        count for the usual changes. other: gives the evidence of the other signal, or None. It is
         asked only if there is a long run, or a run that an earlier or the next call also contains.
         """
         out = np.zeros(len(rows), dtype=bool)
@@ -348,8 +318,7 @@ class StuckSignal:
         lasted = count[:, ends + 1] - count[:, begins]
         lasted[:, 0] += before.lasted
         stuck = lasted[1] > MIN_STUCK_TICKS
-        if self._repeats and np.count_nonzero(stuck):
-            stuck &= lasted[1] > self._limit()
+        stuck &= self._usual.known or not self._repeats
         if before.is_stuck:
             stuck[0] = True
 
@@ -364,9 +333,7 @@ class StuckSignal:
             out[part] |= stuck[i]
         over = ~stuck & (ends < leaving) & (lasted[0] > 0.0)
         over[-1] = False
-        after = last[over]
-        until_next = count[0, at[after + 1]] - count[0, at[after] + 1]
-        self._ended.add_ended_runs(lasted[0, over] + until_next, change[after])
+        self._usual.add_changes(change[last[over]])
         if not len(crossing):
             self.restart()
             return one_more(out)
@@ -384,20 +351,12 @@ class StuckSignal:
         """Return whether a value (axes,) continues the open run."""
         return bool((np.abs(value - self._open.value) <= self._same).all())
 
-    def _limit(self) -> float:
-        """Return the length [ticks of 0.1 s] above which a run may be stuck; infinite until the
-        usual length of runs is known.
-        """
-        if not self._ended.known:
-            return math.inf
-        return TIMES_USUAL * self._ended.repeated(SPLIT, JUMPS)
-
     def _has_changed(self, witness: OtherSignal | None, part: slice, run: _OpenRun) -> bool:
         if witness is None:
             return False
         least = witness.least
         if witness.steps:
-            least += witness.steps * self._ended.change(LARGE)
+            least += witness.steps * self._usual.most(LARGE)
         return _changes(witness, part, run)[1] > least
 
 
