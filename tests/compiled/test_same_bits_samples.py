@@ -26,8 +26,7 @@ from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec
 from imucald.can.e2e.protector import MessageProtector
 from imucald.core.samples import Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.motion.hops import Carry, hop_rows
-from imucald.motion.rail_evidence import AxisHops
+from imucald.motion.hops import AxisHops, Carry, hop_rows
 from imucald.motion.rails import AxisRails
 
 pytestmark = [needs_kernels, pytest.mark.slow]
@@ -63,20 +62,19 @@ def test_hops_and_their_rails(seed: int) -> None:
         chunks.append((hops, hop, spiked(rng, values, share_of(rng)), rng.random(hops) < 0.8))
 
     def judged() -> object:
-        carry, rails, found = Carry.none(3), [AxisRails(axis) for axis in range(3)], []
+        carry, rails, found = Carry.none(3), [AxisRails() for _ in range(3)], []
         for hops, hop, values, moving in chunks:
             rows = hop_rows(values, hop, hops, carry)
-            entries = rows.entries()
             some = np.flatnonzero(rows.count).tolist()
-            runs = [(100, 2)] * hops
             for axis in range(3):
-                at = AxisHops(axis, rows, entries, runs)
+                at = AxisHops(axis, rows)
+                at.runs = [(100, 2)] * hops
                 cut = len(some) // 2
                 on = rails[axis].take_hops(at, some[:cut], moving)
                 on += [rails[axis].take_hop(at, h, bool(moving[h]), h % 7 == 3) for h in some[cut:]]
-                both = rails[axis]._high, rails[axis]._low
-                figures = [(rail.surprise, rail.value, list(rail.recent)) for rail in both]
-                found.append((on, figures, rails[axis]._tops.hops, rails[axis]._tops.usual))
+                own = rails[axis]
+                figures = [(rail.surprise, rail.value, rail.recent) for rail in own.sides]
+                found.append((on, figures, own._hops.item(), own._usual.item()))
             found.append((rows, carry.last.copy(), carry.run.copy(), carry.step.copy()))
         return found
 

@@ -153,3 +153,20 @@ def test_a_cruise_is_not_stuck_in_whole_kmh_nor_behind_a_filter(seed):
 def test_a_town_is_not_stuck(seed):
     for lsb in (0.01, 1.0 / 3.6):
         assert stuck(town(seed, 0.1, lsb)) == []
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+def test_a_steering_angle_that_stays_on_a_nearly_straight_road_is_stuck(is_held):
+    """The yaw rate hardly changes meanwhile: a rule that asked it to do so hid such stays."""
+    rng = np.random.default_rng(6)
+    t = np.arange(0.0, 600.0, 0.02)
+    bends = np.where((t > 290.0) & (t < 330.0), 0.05, 1.0) * np.sin(t / 4.0)
+    angle = np.round((bends + 0.01 * np.sin(t / 0.7)) / 0.0017) * 0.0017
+    if is_held:
+        angle[(t > 300.0) & (t < 320.0)] = angle[np.searchsorted(t, 300.0)]
+    force = 0.1 * rng.standard_normal((len(t), 3)) + [0.0, 0.0, GRAVITY]
+    speed = Series(t[::10], np.full(len(t[::10]), 20.0) + 0.01 * rng.standard_normal(len(t[::10])))
+    yaw_rate = Series(t, 0.08 * bends + 0.001 * rng.standard_normal(len(t)))
+    samples = {"accel": Series(t, force), "speed": speed, "yaw_rate": yaw_rate}
+    found = stuck({**samples, "steering": Series(t, angle)})
+    assert len(found) == is_held

@@ -46,7 +46,7 @@ def test_a_sound_drive_is_trusted_throughout() -> None:
     sound, rows = health(30.0), drive()
     sound.drop_impossible(rows)
     assert not any(sound.stuck(name, rows).any() for name in ("accel", "gyro"))
-    assert not sound.stuck_speed(rows, None).any()
+    assert not sound.stuck_speed(rows, lambda: None).any()
     assert not untrusted(sound, rows, 0.5).any()
     assert not sound.counts
 

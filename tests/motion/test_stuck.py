@@ -44,7 +44,7 @@ def flagged(
     for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
         part = slice(first, first + KEEP + BLOCK_TICKS)
         seen = SeenForward(accel[part], late, 0.05, 0.3)
-        flags = health.stuck_speed(rows[part], seen)
+        flags = health.stuck_speed(rows[part], lambda seen=seen: seen)
         out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
     return out[KEEP:]
 
@@ -176,7 +176,7 @@ def test_a_speed_that_never_changed_is_not_called_stuck():
 def test_where_no_mount_is_known_nothing_is_called_stuck():
     rows = empty_rows(KEEP + BLOCK_TICKS)
     rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n] = 12.0, 5
-    assert not SignalHealth(slice(0, BLOCK_TICKS)).stuck_speed(rows, None).any()
+    assert not SignalHealth(slice(0, BLOCK_TICKS)).stuck_speed(rows, lambda: None).any()
 
 
 def flagged_with_wheels(speed: NDArray[np.float64], wheels: NDArray[np.float64]) -> np.ndarray:
@@ -187,7 +187,7 @@ def flagged_with_wheels(speed: NDArray[np.float64], wheels: NDArray[np.float64])
     health = SignalHealth(slice(BEFORE, BEFORE + BLOCK_TICKS))
     out = np.zeros(len(rows), dtype=bool)
     for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
-        flags = health.stuck_speed(rows[first : first + KEEP + BLOCK_TICKS], None)
+        flags = health.stuck_speed(rows[first : first + KEEP + BLOCK_TICKS], lambda: None)
         out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
     return out[KEEP:]
 

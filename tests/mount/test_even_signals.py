@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import groupby
 
 import msgspec
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
-from imucald.motion.stuck import SHORT_TICKS, short_runs
 from imucald.motion.ticks import empty_rows
 from imucald.mount.even_signals import bridged
 from imucald.mount.signal_blocks import BLOCK_TICKS, LAG, SignalBlock, SignalBlockMaker
@@ -194,28 +192,6 @@ def test_a_block_says_of_a_ramp_what_it_was_at_the_middle_of_each_tick() -> None
         np.testing.assert_allclose(block.speed, 10.0 + 0.05 * middle, atol=1e-9)
         np.testing.assert_allclose(block.accel, 0.05, atol=1e-6)
         assert block.learn.all()
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_short_runs_are_those_that_counting_finds(seed: int) -> None:
-    rng, leaving = RNG(seed), 30
-    values = np.repeat(rng.integers(0, 3, (5, 80)), rng.integers(1, 4, 80), axis=1)[:, :60] * 1.0
-    values[0, 10:25] = 7.0
-    simple, row, first, last, change = short_runs(values, 1e-9, leaving)
-    found = list(zip(row.tolist(), first.tolist(), last.tolist(), change.tolist(), strict=True))
-    expected, expected_simple = [], []
-    for b, line in enumerate(values.tolist()):
-        k, is_simple = 0, True
-        for _, run in groupby(line):
-            end = k + len(list(run)) - 1
-            is_simple &= end - k < SHORT_TICKS and not k < leaving <= end
-            if end < leaving:
-                expected.append((b, k, end, abs(line[end + 1] - line[end])))
-            k = end + 1
-        expected_simple.append(is_simple)
-    assert found == expected
-    assert simple.tolist() == expected_simple
-    assert not expected_simple[0]
 
 
 def test_a_tick_that_a_long_hole_cuts_keeps_its_own_samples() -> None:

@@ -1,6 +1,6 @@
 """Estimate the share of lost frames of a cyclic message from the times of the received frames.
 
-The estimate also works with coarse time stamps. `diagnosis.direct.stamps` finds which frames are
+The estimate also works with coarse time stamps. `diagnosis.direct.faults` finds which frames are
 missing and the error of the sender's clock, but only if the time stamps follow a cycle.
 """
 

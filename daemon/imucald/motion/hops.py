@@ -58,7 +58,7 @@ class Carry(Struct):
 
 
 class HopRows(Struct, frozen=True):
-    """Statistics of H hops. Shapes: count (H,), top and on_top (H, 2, axes), others (H, axes).
+    """Statistics of H hops. Shapes: count (H,), top and on_top (2, axes, H), others (axes, H).
 
     mean: mean of the samples. level: mean size of the change from sample to sample. step: smallest
     change so far. ended: number of runs of equal values that ended in the hop (half a second).
@@ -86,16 +86,44 @@ class HopRows(Struct, frozen=True):
         """Return the sample before sample k (axes,); NaN if there is none."""
         return self.samples[:, k - 1] if k else self.before
 
-    def entries(self) -> Array:
-        """Return the size of the change at which the run at the end of each hop (half a second)
-        began (H, axes).
 
-        The value is valid only for a run that began in the same hop.
-        """
-        axes = np.arange(len(self.before))
-        at = np.minimum(np.maximum(self.edges[1:, None] - self.run, 0), self.samples.shape[1] - 1)
-        earlier = np.where(at > 0, self.samples[axes, at - 1], self.before)
-        return np.asarray(np.abs(self.samples[axes, at] - earlier))
+class AxisHops:
+    """Statistics of the hops of one axis, as lists by hop (half a second).
+
+    level, step: as in `HopRows`. entry: size of the change at which the run at the end of the hop
+    began, valid only for a run that began in the same hop. tops: `top` of `HopRows`, first of the
+    upper side, then of the lower side. counts: count, ended, longest and run of each hop. in_rows:
+    top, on_top, step and level as contiguous arrays. runs: for each hop, the number of runs of
+    equal values in motion that ended before the hop, and the length of the longest of these runs;
+    the caller appends an entry for each hop.
+    """
+
+    def __init__(self, axis: int, rows: HopRows) -> None:
+        self.axis, self.rows = axis, rows
+        self.runs: list[tuple[int, int]] = []
+        level, step, top = (
+            rows.level[axis],
+            rows.step[axis],
+            np.ascontiguousarray(rows.top[:, axis]),
+        )
+        self.in_rows = top, np.ascontiguousarray(rows.on_top[:, axis]), step, level
+        self.level: list[float] = level.tolist()
+        self.step: list[float] = step.tolist()
+        self.tops: list[list[float]] = top.tolist()
+        counts = rows.count, rows.ended[axis], rows.longest[axis], rows.run[axis]
+        self.counts = list(zip(*(x.tolist() for x in counts), strict=True))
+        x = rows.samples[axis]
+        at = np.minimum(np.maximum(rows.edges[1:] - rows.run[axis], 0), len(x) - 1)
+        earlier = np.where(at > 0, x[at - 1], rows.before[axis])
+        self.entry: list[float] = np.abs(x[at] - earlier).tolist()
+
+    def samples(self, h: int) -> Array:
+        """Return the samples of hop h (half a second), (N,)."""
+        return self.rows.samples[self.axis, self.rows.edges[h] : self.rows.edges[h + 1]]
+
+    def previous(self, h: int) -> float:
+        """Return the sample before hop h (half a second); NaN if there is none."""
+        return float(self.rows.previous(self.rows.edges[h])[self.axis])
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
@@ -107,9 +135,10 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     edges = np.searchsorted(hop, np.arange(hops + 1))
     v = np.ascontiguousarray(values.T)
     shape = len(v), hops
-    numbers, counts = np.empty((3, *shape)), np.empty((3, *shape), np.int64)
-    tops, on_tops = np.empty((SIDES, *shape)), np.empty((SIDES, *shape), np.int64)
-    figures: tuple[NDArray[Any], ...] = *numbers, *counts, tops, on_tops
+    mean, level, step = np.empty((3, *shape))
+    ended, longest, run = np.empty((3, *shape), np.int64)
+    top, on_top = np.empty((SIDES, *shape)), np.empty((SIDES, *shape), np.int64)
+    figures = mean, level, step, ended, longest, run, top, on_top
     before = carry.last
     carry.last, carry.run, carry.step = before.copy(), carry.run.copy(), carry.step.copy()
     if compiled.kernels is not None:
@@ -118,23 +147,7 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     else:
         for axis, column in enumerate(v.tolist()):
             _count_axis(column, edges.tolist(), carry, axis, figures)
-    mean, level, step, ended, longest, run, top, on_top = (
-        np.moveaxis(figure, -1, 0) for figure in figures
-    )
-    return HopRows(
-        count=np.diff(edges),
-        mean=mean,
-        level=level,
-        step=step,
-        ended=ended,
-        longest=longest,
-        run=run,
-        top=top,
-        on_top=on_top,
-        samples=v,
-        edges=edges,
-        before=before,
-    )
+    return HopRows(np.diff(edges), *figures, v, edges, before)
 
 
 def _count_axis(

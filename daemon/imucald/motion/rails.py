@@ -17,13 +17,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 from imucald.core import compiled
 from imucald.core.arrays import Array, Flags, Index
 from imucald.core.compiled import Kernel
-from imucald.motion.hops import SIDES
-from imucald.motion.rail_evidence import LEAST_AT_EXTREME, AxisHops, Pile
+from imucald.motion.hops import SIDES, AxisHops
+from imucald.motion.sensor_judges import rate_of
 
 LONG_STAY = 4
 """Smallest number of samples on a value that is reached for the first time. With fewer samples, the
@@ -36,129 +36,121 @@ REMEMBERED = 64
 value stored before, so few values are needed."""
 
 
-class Top(Struct):
-    """A value that no later value has exceeded.
+LEAST_AT_EXTREME = 5
+PILE = 1.3
+"""Ratio of samples from which an extreme is a rail (end of the range): samples on the extreme to
+samples on each of the two steps below it.
 
-    born: hop (half a second) in which the value was reached. on: number of samples on the value.
-    one_below,
-    two_below: number of samples one and two steps below the value, as far as they are the largest
-    values of their hops.
+The codes of a converter differ in width by about 30 % (differential nonlinearity of 0.3 LSB).
+"""
+STAYS_COUNT = 0.5
+"""Weight of the evidence from samples that equal the sample before. The weight is below 1 because
+neighbouring samples are not independent."""
+MOST_SAMPLES = 512
+
+
+LEAST_TAIL_HOPS = 30
+"""Number of driving hops (15 s) after which the tail of an axis's distribution is known."""
+LEAST_STEPS = 8
+"""Smallest range of an axis in steps, from end to end. A signal with a smaller range has no
+tail."""
+SURPRISE = 18.5
+"""-log of the probability of the data without a rail, from which a rail is accepted [nats]: a
+chance of 1e-8. Six axes with two ends have about 1e7 driving hops (half a second each) in 100 h.
+"""
+BOTH_ENDS = 4.0
+"""Additional surprise that the sum of two surprises needs if both ends of the range are reached.
+The value follows from x + log(1 + x).
+"""
+BROAD = 3
+"""Number of peaks that form the tail of the distribution, as a multiple of the number of peaks at
+the largest value. The scale of the tail is measured over these peaks."""
+UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
+"""Smallest and largest number of driving hops (half a second each) without contact after which a
+rail is dropped: one minute and five minutes. Between one and five minutes, a rail is dropped after
+`SURPRISE` times its usual pause. The probability that a true rail has so long a pause equals the
+chance of a false rail. One minute of driving is enough to know the tail of the values.
+"""
+USUAL_CHANGE = 4.0
+"""Largest change with which an axis leaves a rail, as a multiple of its mean change from sample to
+sample (three standard deviations of noise). A contact that closes again causes a larger change.
+"""
+
+
+class Pile(Struct):
+    """Evidence that a value is a rail (end of the range).
+
+    rate: -log of the probability that a sample equals the sample before [nats], known from earlier
+    samples. at_it: number of samples with the value. stays: number of these samples that equal the
+    sample before. met: -log of the probability that the axis arrives again and again within the
+    same step [nats]. first, last: first and last hop (half a second) of driving in which the value
+    was reached. seen: samples, each with the sample before, so that data that repeat to the last
+    bit count once.
+    before: at_it and stays at the last arrival.
     """
 
-    value: float
-    born: int
-    on: int
-    one_below: int
-    two_below: int
+    rate: float
+    at_it: int = 0
+    stays: int = 0
+    arrivals: int = 0
+    first: int = -2
+    last: int = -2
+    met: float = 0.0
+    seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
+    before: tuple[int, int] = (0, 0)
 
+    def is_higher(self, one_below: float, two_below: float) -> bool:
+        """Return whether the value has more samples than the tail of a distribution would have.
 
-class TopRows:
-    """The stored extremes of one side: rows of an array (`REMEMBERED` + 1, 6), of which depth (1,)
-    are used.
-
-    The sixth column is 1 if the samples with the extreme value are counted in `piles`, by value.
-    recent: (`TAIL_HOPS`,) ring buffer with the largest values of the last driving hops (half a
-    second each). hops: (1,) number of driving hops.
-    """
-
-    def __init__(self, rows: Array, depth: Index, recent: Array, hops: Index) -> None:
-        self._rows, self._depth = rows, depth
-        self._recent, self._hops = recent, hops
-        self.piles: dict[float, Pile] = {}
-
-    @property
-    def recent(self) -> Sequence[float]:
-        """Largest values of the last driving hops (half a second each)."""
-        hops = int(self._hops[0])
-        ring: list[float] = self._recent.tolist()
-        at = hops % TAIL_HOPS
-        return ring[:hops] if hops < TAIL_HOPS else ring[at:] + ring[:at]
-
-    @property
-    def newest(self) -> float:
-        """Largest value of the last driving hop (half a second)."""
-        return self._recent.item((int(self._hops[0]) - 1) % TAIL_HOPS)
-
-    def _top(self, k: int) -> Top:
-        value, born, on, one_below, two_below, _ = self._rows[k].tolist()
-        return Top(value, int(born), int(on), int(one_below), int(two_below))
-
-    @property
-    def last(self) -> Top | None:
-        """The lowest stored extreme; None if there is none."""
-        depth = int(self._depth[0])
-        return self._top(depth - 1) if depth else None
-
-    def drop_below(self, value: float) -> None:
-        """Drop the stored extremes below a value that was reached."""
-        _drop_below(self._rows, self._depth, value)
-        self.forget_below(value)
-
-    def forget_below(self, value: float) -> None:
-        """Stop counting the samples on values below this value."""
-        for one in [one for one in self.piles if one < value]:
-            del self.piles[one]
-
-    def below(self, value: float) -> tuple[int, int]:
-        """Return the number of samples one step and two steps below a stored extreme."""
-        top = self._top(int(np.argmax(self._rows[: self._depth[0], 0] == value)))
-        return top.one_below, top.two_below
-
-    def add_pile(self, top: Top, pile: Pile) -> None:
-        """Begin to count the samples on the lowest stored extreme."""
-        self.piles[top.value] = pile
-        self._rows[self._depth[0] - 1, 5] = 1.0
-
-
-class AxisTops:
-    """The stored extremes of both sides of an axis."""
-
-    def __init__(self) -> None:
-        self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
-        self._depth = np.zeros(SIDES, np.int64)
-        self._usual, self._hops = np.zeros(1), np.zeros(1, np.int64)
-        self._recent = np.zeros((SIDES, TAIL_HOPS))
-        self._found = np.empty(3 * SIDES)
-        self.sides = [
-            TopRows(self._rows[k], self._depth[k : k + 1], self._recent[k], self._hops)
-            for k in range(SIDES)
-        ]
-
-    @property
-    def usual(self) -> float:
-        """Mean change from sample to sample while driving."""
-        return self._usual.item(0)
-
-    @property
-    def hops(self) -> int:
-        """Number of driving hops (half a second each)."""
-        return self._hops.item(0)
-
-    def take_hops(
-        self, at: AxisHops, hops: Index, begin: int, moving: Flags
-    ) -> tuple[int, list[Top | None]]:
-        """Process hops from index `begin` on, up to the first hop (half a second) whose largest
-        values need further tests.
-
-        moving: flags of all hops. Returns the index of this hop and, for each side, the extreme to
-        be tested. If no hop needs further tests, the index is that of the first hop that was not
-        taken.
+        one_below, two_below: number of samples one and two steps below the value.
         """
-        kernel: Kernel = rail_hops if compiled.kernels is None else compiled.kernels.rail_hops
-        stopped: int = kernel(
-            hops, begin, moving, *at.in_rows,
-            self._rows, self._depth, self._usual, self._hops, self._recent, self._found,
-        )  # fmt: skip
-        high, low, *largest = self._found.tolist()
-        reached: list[Top | None] = []
-        for side, is_reached, value, dropped in zip(
-            self.sides, (high, low), largest[:2], largest[2:], strict=True
-        ):
-            if side.piles:
-                side.forget_below(value)
-                side.piles.pop(dropped, None)
-            reached.append(side.last if is_reached else None)
-        return stopped, reached
+        return self.at_it >= LEAST_AT_EXTREME and self.at_it > PILE * max(one_below, two_below)
+
+    @property
+    def surprise(self) -> float:
+        """-log of the probability of all observations if the value is not a rail [nats]."""
+        return self.met + STAYS_COUNT * more_often(self.stays, self.at_it, self.rate)
+
+    def count(self, at: AxisHops, h: int, sample: float) -> bool:
+        """Count the new samples of hop h (half a second) with the value `sample`. Returns True if
+        there are new samples. A sample that was sent twice is not new.
+        """
+        rows, at_it, seen = at.rows, self.at_it, self.seen
+        for k in (rows.edges[h] + np.flatnonzero(at.samples(h) == sample)).tolist():
+            if len(seen) == MOST_SAMPLES:
+                break
+            two = np.stack([rows.previous(k), rows.samples[:, k]], 1)
+            of_axes = two.tolist()
+            if all(before == now for before, now in of_axes):
+                continue
+            known = len(seen)
+            seen[two.tobytes()] = None
+            if len(seen) > known:
+                self.at_it += 1
+                self.stays += of_axes[at.axis][0] == sample
+        return self.at_it > at_it
+
+    def count_stay_once(self) -> None:
+        """Count all samples since the last arrival as a single sample."""
+        at_it, self.stays = self.before
+        self.at_it = min(self.at_it, at_it + 1)
+        while len(self.seen) > self.at_it:
+            self.seen.popitem()
+
+
+def more_often(stays: int, of: int, rate: float) -> float:
+    """Return -log of the probability of at least this many stays [nats].
+
+    stays: number of samples that equal the sample before. of: number of all samples. rate: each
+    sample equals the sample before with the probability exp(-rate). The result is Chernoff's bound
+    of the binomial distribution's tail; 0 if the stays are not more frequent than this probability.
+    """
+    chance = math.exp(-rate)
+    share = stays / of if of else 0.0
+    if share <= chance:
+        return 0.0
+    left = (1.0 - share) * math.log((1.0 - share) / (1.0 - chance)) if share < 1.0 else 0.0
+    return of * (share * (math.log(share) + rate) + left)
 
 
 def rail_hops(
@@ -246,34 +238,6 @@ def _reach(
     return on >= LONG_STAY, let_go
 
 
-LEAST_TAIL_HOPS = 30
-"""Number of driving hops (15 s) after which the tail of an axis's distribution is known."""
-LEAST_STEPS = 8
-"""Smallest range of an axis in steps, from end to end. A signal with a smaller range has no
-tail."""
-SURPRISE = 18.5
-"""-log of the probability of the data without a rail, from which a rail is accepted [nats]: a
-chance of 1e-8. Six axes with two ends have about 1e7 driving hops (half a second each) in 100 h.
-"""
-BOTH_ENDS = 4.0
-"""Additional surprise that the sum of two surprises needs if both ends of the range are reached.
-The value follows from x + log(1 + x).
-"""
-BROAD = 3
-"""Number of peaks that form the tail of the distribution, as a multiple of the number of peaks at
-the largest value. The scale of the tail is measured over these peaks."""
-UNTOUCHED = TAIL_HOPS, 5 * TAIL_HOPS
-"""Smallest and largest number of driving hops (half a second each) without contact after which a
-rail is dropped: one minute and five minutes. Between one and five minutes, a rail is dropped after
-`SURPRISE` times its usual pause. The probability that a true rail has so long a pause equals the
-chance of a false rail. One minute of driving is enough to know the tail of the values.
-"""
-USUAL_CHANGE = 4.0
-"""Largest change with which an axis leaves a rail, as a multiple of its mean change from sample to
-sample (three standard deviations of noise). A contact that closes again causes a larger change.
-"""
-
-
 class Rail:
     """Decides whether the largest value of one side of an axis is the end of its range.
 
@@ -281,36 +245,66 @@ class Rail:
     samples stay there while other axes move. On a rail, such peaks and stays are usual. Every value
     that no later value has exceeded is watched, so that a value reached before the rail existed
     does not hide the rail. Only driving counts. The rail is dropped when a value lies beyond it, or
-    when driving no longer reaches it. surprise: -log of the probability of the data without a rail
-    [nats]. A stay is counted only when it has ended. A stuck axis is not a rail, and its stay
-    counts as one arrival.
-    value: value to which the surprise belongs. least: surprise from which the value is a rail.
+    when driving no longer reaches it. A stay is counted only when it has ended. A stuck axis is not
+    a rail, and its stay counts as one arrival.
+
+    sign: 1 for the upper side, -1 for the lower side, whose values are negated. least: surprise
+    from which the value is a rail [nats]. rows, depth, recent, hops: as in `AxisRails`, of this
+    side. surprise: -log of the probability of the data without a rail [nats]. value: value to which
+    the surprise belongs. rail: value of the last rail; -inf if there was none. piles: evidence of
+    the watched values that were reached often, by value. found: True if the axis is on the rail.
+    changed: True if the surprise must be computed again.
     """
 
-    def __init__(self, side: int, axis: int, tops: TopRows, least: float) -> None:
-        self._side, self._axis, self._tops, self._least = side, axis, tops, least
-        self._rail = -math.inf
-        self._changed = False
+    def __init__(
+        self, sign: float, least: float, rows: Array, depth: Index, recent: Array, hops: Index
+    ) -> None:
+        self._sign, self._least = sign, least
+        self._rows, self._depth = rows, depth
+        self._recent, self._hops = recent, hops
+        self.piles: dict[float, Pile] = {}
+        self.rail = -math.inf
         self._untouched, self._pauses, self._touches = 0, 0.0, 0
-        self.found = False
+        self.found = self.changed = False
         self.surprise, self.value = 0.0, math.inf
 
     @property
-    def last(self) -> float:
-        """Value of the last rail, negated on the lower side; -inf if there was none."""
-        return self._rail
+    def recent(self) -> list[float]:
+        """Largest values of the last driving hops (half a second each)."""
+        hops = int(self._hops[0])
+        ring: list[float] = self._recent.tolist()
+        at = hops % TAIL_HOPS
+        return ring[:hops] if hops < TAIL_HOPS else ring[at:] + ring[:at]
 
-    def go_on(self, at: AxisHops, h: int, moving: bool) -> None:
-        """Update the rail with hop h (half a second).
+    @property
+    def newest(self) -> float:
+        """Largest value of the last driving hop (half a second)."""
+        return self._recent.item((int(self._hops[0]) - 1) % TAIL_HOPS)
 
-        The rail is dropped if a value lies beyond it.
+    @property
+    def top(self) -> float:
+        """The lowest watched value; NaN if there is none."""
+        depth = int(self._depth[0])
+        return self._rows.item(depth - 1, 0) if depth else math.nan
+
+    @property
+    def is_clear(self) -> bool:
+        """True if there is no evidence of a rail.
+
+        The next hops (half a second each) can then be processed together by `rail_hops`.
         """
-        value = at.tops[self._side][h]
+        return not (self.changed or self.found) and self.value == math.inf
+
+    def go_on(self, value: float, step: float, moving: bool) -> None:
+        """Update the rail with the largest value of a hop (half a second).
+
+        The rail is dropped if the value lies beyond it. step: smallest change so far.
+        """
         if self.found:
-            half = 0.5 * at.smallest_change[h]
-            if value > self._rail + half:
+            half = 0.5 * step
+            if value > self.rail + half:
                 self.found = False
-            elif value >= self._rail - half:
+            elif value >= self.rail - half:
                 self._touch(self._untouched)
             elif moving:
                 self._untouched += 1
@@ -319,35 +313,23 @@ class Rail:
         if value > self.value:
             self.surprise, self.value = 0.0, math.inf
 
-    def stand(self, at: AxisHops, h: int) -> None:
-        """Process hop h (half a second), in which the vehicle stands or the axis is stuck."""
-        self._tops.drop_below(at.tops[self._side][h])
+    def stand(self, value: float) -> None:
+        """Process the largest value of a hop (half a second) in which the vehicle stands or the
+        axis is stuck."""
+        _drop_below(self._rows, self._depth, value)
+        self.forget_below(value)
 
-    @property
-    def recent(self) -> Sequence[float]:
-        """Largest values of the last driving hops (half a second each)."""
-        return self._tops.recent
-
-    @property
-    def changed(self) -> bool:
-        """True if the surprise must be computed again."""
-        return self._changed
-
-    @property
-    def is_clear(self) -> bool:
-        """True if there is no evidence of a rail.
-
-        The next hops (half a second each) can then be processed together by `AxisTops.take_hops`.
-        """
-        return not (self._changed or self.found) and self.value == math.inf
+    def forget_below(self, value: float) -> None:
+        """Stop counting the samples on values below this value."""
+        for one in [one for one in self.piles if one < value]:
+            del self.piles[one]
 
     def stick(self, value: float) -> None:
         """Note that the axis is stuck at a value. The stuck axis is the reason for the stay, not a
         rail.
         """
-        top = self._tops.last
-        if top is not None and top.value == value and value in self._tops.piles:
-            self._tops.piles[value].count_stay_once()
+        if self.top == value and value in self.piles:
+            self.piles[value].count_stay_once()
 
     def is_held(self, value: float, left_by: float) -> bool:
         """Return whether a rail holds an axis that was stuck at a value.
@@ -359,28 +341,31 @@ class Rail:
         recent = self.recent
         return len(recent) >= LEAST_TAIL_HOPS and left_by > 0.0 and value >= max(recent)
 
-    def weigh(self, at: AxisHops, h: int) -> None:
-        """Choose the most likely rail among the watched values, after hop h (half a second)."""
-        last = float(at.rows.samples[self._axis, at.rows.edges[h + 1] - 1])
-        now = last if self._side == 0 else -last
+    def weigh(self, last: float) -> None:
+        """Choose the most likely rail among the watched values. last: the last sample."""
+        now = self._sign * last
         # Once the value is left, nothing changes before the next arrival.
-        top = self._tops.last
-        self._changed = top is not None and now == top.value
+        self.changed = now == self.top
         piles = [
             (pile.surprise, value)
-            for value, pile in self._tops.piles.items()
+            for value, pile in self.piles.items()
             if pile.at_it >= LEAST_AT_EXTREME
             and now < value
-            and pile.is_higher(*self._tops.below(value))
+            and pile.is_higher(*self._below(value))
             and not self._is_apart(value)
         ]
         self.surprise, self.value = max(piles, default=(0.0, math.inf))
 
+    def _below(self, value: float) -> tuple[float, float]:
+        """Return the number of samples one step and two steps below a watched value."""
+        k = int(np.argmax(self._rows[: self._depth[0], 0] == value))
+        return self._rows.item(k, 3), self._rows.item(k, 4)
+
     def on_rail(self, value: float | None = None) -> None:
         """Set the value of the rail; None: the most likely value."""
-        self.found, self._rail = True, self.value if value is None else value
+        self.found, self.rail = True, self.value if value is None else value
         self._pauses, self._touches = 0.0, 0
-        pile = self._tops.piles.get(self._rail)
+        pile = self.piles.get(self.rail)
         if pile is None or pile.arrivals < 2:  # its pauses are not known yet
             self._touch(UNTOUCHED[1])
         else:
@@ -403,9 +388,9 @@ class Rail:
 
     def _forget(self) -> None:
         """Forget all evidence for the rail."""
-        self.found = self._changed = False
+        self.found = self.changed = False
         self.surprise, self.value = 0.0, math.inf
-        self._tops.piles.clear()
+        self.piles.clear()
 
     def _is_apart(self, value: float) -> bool:
         """Return whether a value is further from all other peaks than these peaks are from each
@@ -418,77 +403,94 @@ class Rail:
         n = len(below)
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
-    def pile_up(self, top: Top, at: AxisHops, h: int, hop: int) -> None:
-        """Count the samples of hop h (half a second) that have the value `top`."""
-        self._changed = True
-        pile = self._tops.piles.get(top.value)
+    def pile_up(self, at: AxisHops, h: int) -> None:
+        """Count the samples of hop h (half a second), the last driving hop, on the lowest watched
+        value."""
+        self.changed = True
+        k, hop = int(self._depth[0]) - 1, int(self._hops[0]) - 1
+        value, born = self._rows[k, :2].tolist()
+        rate = rate_of(*at.runs[h])
+        pile = self.piles.get(value)
         if pile is None:
-            pile = Pile(at.rate(h), first=hop)
-            self._tops.add_pile(top, pile)
-        pile.rate = pile.rate or at.rate(h)
+            pile = self.piles[value] = Pile(rate, first=hop)
+            self._rows[k, 5] = 1.0
+        pile.rate = pile.rate or rate
         is_arrival = hop - pile.last > 1
         if is_arrival:
             pile.before = pile.at_it, pile.stays
-        fresh = pile.count(at, h, self._axis, self._side, top.value)
+        fresh = pile.count(at, h, self._sign * value)
         pile.last = hop
         if not fresh:
             return
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(top, at.smallest_change[h], hop)
+                pile.met += self._coincidence(value, hop - int(born), at.step[h])
 
-    def _coincidence(self, top: Top, step: float, hop: int) -> float:
+    def _coincidence(self, value: float, age: int, step: float) -> float:
         """Return -log of the probability that one more peak of the tail falls into the same step
-        [nats]."""
-        n = min(hop - top.born + 1, TAIL_HOPS)
+        [nats]. age: number of driving hops (half a second each) since the value was reached first.
+        """
+        n = min(age + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
             return 0.0
-        peaks = np.array(self._tops.recent)[-n:]
-        on = int(np.count_nonzero(peaks == top.value))
+        peaks = np.array(self.recent)[-n:]
+        on = int(np.count_nonzero(peaks == value))
         broad = min(BROAD * on, n)
         low = float(np.partition(peaks, n - broad)[n - broad])
-        if low >= top.value:
+        if low >= value:
             return 0.0
-        scale = (top.value - low) / math.log(broad / on)
+        scale = (value - low) / math.log(broad / on)
         return -math.log(-math.expm1(-step / scale))
 
 
 class AxisRails:
-    """Both rails of an axis. least: surprise from which a value is a rail [nats]."""
+    """Both rails of an axis. least: surprise from which a value is a rail [nats].
 
-    def __init__(self, axis: int, least: float = SURPRISE) -> None:
-        self._axis, self._least = axis, least
-        self._tops = AxisTops()
-        self._high, self._low = (
-            Rail(side, axis, own, least) for side, own in enumerate(self._tops.sides)
-        )
+    The watched values of each side are rows of an array (SIDES, `REMEMBERED` + 1, 6), of which
+    depth (SIDES,) are used. The columns are the value, the driving hop (half a second) in which it
+    was reached, the number of samples on it, the number of samples one and two steps below it, as
+    far as they are the largest values of their hops, and 1 if the samples on it are counted in
+    `Rail.piles`. recent: (SIDES, `TAIL_HOPS`) ring buffer with the largest values of the last
+    driving hops. hops: (1,) number of driving hops. usual: (1,) mean change from sample to sample
+    while driving.
+    """
+
+    def __init__(self, least: float = SURPRISE) -> None:
+        self._least = least
+        self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
+        self._depth = np.zeros(SIDES, np.int64)
+        self._usual, self._hops = np.zeros(1), np.zeros(1, np.int64)
+        self._recent = np.zeros((SIDES, TAIL_HOPS))
+        self._found = np.empty(3 * SIDES)
+        self.sides = [
+            Rail(sign, least, self._rows[k], self._depth[k : k + 1], self._recent[k], self._hops)
+            for k, sign in enumerate((1.0, -1.0))
+        ]
 
     @property
     def ends(self) -> tuple[float, float]:
         """Values of the last rails, the upper and the lower; infinite if there was none."""
-        return self._high.last, -self._low.last
+        high, low = self.sides
+        return high.rail, -low.rail
 
     def take_hop(self, at: AxisHops, h: int, moving: bool, stuck: bool) -> bool:
         """Process hop h (half a second), which has samples. Returns whether the axis is on a rail.
 
         stuck: True if the axis was stuck when the hop began. Such a hop is no evidence about rails.
         """
-        high, low = self._high, self._low
+        tops = [top[h] for top in at.tops]
         if stuck:
-            high.stick(at.tops[0][h])
-            low.stick(at.tops[1][h])
+            for rail, value in zip(self.sides, tops, strict=True):
+                rail.stick(value)
             self._look_at_end(at, h)
-        for rail in (high, low):
-            rail.go_on(at, h, moving)
-        if stuck or not moving:
-            for rail in (high, low):
-                rail.stand(at, h)
-        else:
-            hops, always = np.array([h]), np.ones(len(at.levels), dtype=bool)
-            _, tops = self._tops.take_hops(at, hops, 0, always)
-            self._pile_up(at, h, tops)
-        return self._weigh(at, h, high.changed, low.changed)
+        for rail, value in zip(self.sides, tops, strict=True):
+            rail.go_on(value, at.step[h], moving)
+            if stuck or not moving:
+                rail.stand(value)
+        if moving and not stuck:
+            self._take_hops(at, np.array([h]), 0, np.ones(len(at.level), dtype=bool))
+        return self._weigh(at, h)
 
     def take_hops(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
         """Do the same as `take_hop` for hops (half a second each) with samples, if the axis is
@@ -497,72 +499,70 @@ class AxisRails:
         moving: (H,) flags of all hops of the rows. This function is fast if the values of most hops
         are below values that were reached before.
         """
-        high, low = self._high, self._low
         moves: list[bool] = moving.tolist()
         places = np.array(hops, np.int64)
         found: list[bool] = []
-        is_clear = high.is_clear and low.is_clear
         while (done := len(found)) < len(hops):
-            if not is_clear:
-                h = hops[done]
-                found.append(self.take_hop(at, h, moves[h], stuck=False))
-            else:
-                stopped, tops = self._tops.take_hops(at, places, done, moving)
-                found += [False] * (stopped - done)
-                if tops == [None, None]:
-                    continue
-                h = hops[stopped]
-                self._pile_up(at, h, tops)
-                found.append(self._weigh(at, h, tops[0] is not None, tops[1] is not None))
-            is_clear = high.is_clear and low.is_clear
+            if not all(rail.is_clear for rail in self.sides):
+                found.append(self.take_hop(at, hops[done], moves[hops[done]], stuck=False))
+                continue
+            stopped = self._take_hops(at, places, done, moving)
+            found += [False] * (stopped - done)
+            if not all(rail.is_clear for rail in self.sides):
+                found.append(self._weigh(at, hops[stopped]))
         return found
 
-    def _pile_up(self, at: AxisHops, h: int, tops: Sequence[Top | None]) -> None:
-        """Count the samples with the values `tops` in the driving hop h (half a second)."""
-        for rail, top in zip((self._high, self._low), tops, strict=True):
-            if top is not None:
-                rail.pile_up(top, at, h, self._tops.hops - 1)
+    def _take_hops(self, at: AxisHops, hops: Index, begin: int, moving: Flags) -> int:
+        """Process hops from index `begin` on, up to the first hop (half a second) whose largest
+        values need further tests. The samples with these values are counted.
 
-    def _weigh(self, at: AxisHops, h: int, is_high: bool, is_low: bool) -> bool:
-        """Return whether the axis is on a rail after hop h (half a second).
-
-        is_high, is_low: True for a side that must be tested again.
+        moving: flags of all hops. Returns the index of this hop. If no hop needs further tests, the
+        index is that of the first hop that was not taken.
         """
-        high, low = self._high, self._low
-        if (is_high or is_low) and self._has_tail(at.smallest_change[h]):
-            if is_high:
-                high.weigh(at, h)
-            if is_low:
-                low.weigh(at, h)
-        if high.surprise > 0.0 or low.surprise > 0.0:
-            both = high.surprise + low.surprise > self._least + BOTH_ENDS
-            for rail in (high, low):
-                is_sure = rail.surprise > self._least or (both and rail.surprise > 0.0)
-                if is_sure and not rail.found:
-                    rail.on_rail()
-        return high.found or low.found
+        kernel: Kernel = rail_hops if compiled.kernels is None else compiled.kernels.rail_hops
+        stopped: int = kernel(
+            hops, begin, moving, *at.in_rows,
+            self._rows, self._depth, self._usual, self._hops, self._recent, self._found,
+        )  # fmt: skip
+        sides = self._found.reshape(3, SIDES).T.tolist()
+        for rail, (is_reached, largest, dropped) in zip(self.sides, sides, strict=True):
+            rail.forget_below(largest)
+            rail.piles.pop(dropped, None)
+            if is_reached:
+                rail.pile_up(at, int(hops[stopped]))
+        return stopped
+
+    def _weigh(self, at: AxisHops, h: int) -> bool:
+        """Return whether the axis is on a rail after hop h (half a second)."""
+        if any(rail.changed for rail in self.sides) and self._has_tail(at.step[h]):
+            last = float(at.samples(h)[-1])
+            for rail in self.sides:
+                if rail.changed:
+                    rail.weigh(last)
+        both = sum(rail.surprise for rail in self.sides) > self._least + BOTH_ENDS
+        for rail in self.sides:
+            is_sure = rail.surprise > self._least or (both and rail.surprise > 0.0)
+            if is_sure and not rail.found:
+                rail.on_rail()
+        return any(rail.found for rail in self.sides)
 
     def _has_tail(self, step: float) -> bool:
-        if self._tops.hops == 0:
+        if self._hops[0] == 0:
             return False
-        high, low = self._tops.sides
         least = LEAST_STEPS * step
-        if high.newest + low.newest >= least:
+        if sum(rail.newest for rail in self.sides) >= least:
             return True
-        return max(high.recent) + max(low.recent) >= least
+        return sum(max(rail.recent) for rail in self.sides) >= least
 
     def _look_at_end(self, at: AxisHops, h: int) -> None:
         """Check whether an axis that was stuck is free again, and whether a rail held it."""
-        rows, first = at.rows, at.rows.edges[h]
-        own = rows.samples[self._axis, first : rows.edges[h + 1]]
-        value = float(rows.previous(first)[self._axis])
+        own, value = at.samples(h), at.previous(h)
         other = np.flatnonzero(own != value)
-        if not len(other) or not self._has_tail(at.smallest_change[h]):
+        if not len(other) or not self._has_tail(at.step[h]):
             return
         change = float(own[other[0]]) - value
-        if abs(change) > USUAL_CHANGE * max(self._tops.usual, at.smallest_change[h]):
+        if abs(change) > USUAL_CHANGE * max(self._usual.item(), at.step[h]):
             return
-        if self._high.is_held(value, -change):
-            self._high.on_rail(value)
-        if self._low.is_held(-value, change):
-            self._low.on_rail(-value)
+        for rail, sign in zip(self.sides, (1.0, -1.0), strict=True):
+            if rail.is_held(sign * value, -sign * change):
+                rail.on_rail(sign * value)

@@ -13,9 +13,8 @@ import numpy as np
 from msgspec import Struct
 
 from imucald.core.arrays import Array, Flags, Index
-from imucald.motion.hops import HOP_TICKS, Carry, hop_rows
-from imucald.motion.rail_evidence import PILE, more_often
-from imucald.motion.rails import USUAL_CHANGE
+from imucald.motion.hops import HOP_TICKS, AxisHops, Carry, hop_rows
+from imucald.motion.rails import PILE, USUAL_CHANGE, more_often
 from imucald.motion.sample_health import NOISE, AxisJudges
 from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
@@ -54,22 +53,21 @@ def recorded_health(
         at = t[0] + edge * HOP_TICKS / TICK_RATE
         moving &= np.abs(np.interp(at, *speed)) > ROLLING_SPEED
     rows = hop_rows(table, hop, hops, Carry.none(axes))
-    entries = rows.entries()
     # Each hop asks of each axis whether it is stuck, and of both its ends whether it is a rail.
     surprise = math.log(3.0 * axes * hops / chance)
     on_rail = np.zeros(len(t), dtype=bool)
     # Equal rows of all axes are runs of a count of their changes.
     changes = np.cumsum((np.diff(table, axis=0, prepend=table[:1]) != 0.0).any(axis=1))
     whole = hop_rows(changes[:, None].astype(float), hop, hops, Carry.none(1))
-    is_stuck, _, _ = AxisJudges(0, 0.0, (surprise, math.inf)).judge(whole, whole.entries(), moving)
+    is_stuck, _, _ = AxisJudges(0.0, (surprise, math.inf)).judge(AxisHops(0, whole), moving)
     stuck = _runs_at(changes, whole.edges[1:][is_stuck] - 1)
     ends: list[float] = []
     for axis in range(axes):
-        judges = AxisJudges(axis, NOISE.get(channel, 0.0), (surprise, surprise))
-        is_stuck, _, _ = judges.judge(rows, entries, moving)
+        judges = AxisJudges(NOISE.get(channel, 0.0), (surprise, surprise))
+        is_stuck, _, _ = judges.judge(AxisHops(axis, rows), moving)
         x = table[:, axis]
         repeats = _runs_at(x, rows.edges[1:][is_stuck] - 1)
-        rails, step = judges.rails.ends, float(rows.step[-1, axis])
+        rails, step = judges.rails.ends, float(rows.step[axis, -1])
         extremes = float(x.max()), float(x.min())
         found = [
             end

@@ -19,15 +19,14 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array, Flags
 from imucald.core.samples import Samples, Series
-from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
-from imucald.motion.rail_evidence import AxisHops, LostContact
+from imucald.motion.hops import HOP_S, HOP_TICKS, AxisHops, Carry, HopRows, hop_rows
 from imucald.motion.rails import SURPRISE as RAIL
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
+    AxisRuns,
     Lasting,
-    StuckAxis,
     UnitChange,
     turning_wildly,
     unlike_gravity,
@@ -59,51 +58,35 @@ _More = tuple[Array, NDArray[np.int64]]
 class AxisJudges:
     """The tests of one axis for faults.
 
-    noise: see `StuckAxis`. surprises: two limits of -log of the probability of the data without a
+    noise: see `AxisRuns`. surprises: two limits of -log of the probability of the data without a
     fault [nats], the first for a stuck run, the second for a rail.
     """
 
-    def __init__(
-        self, axis: int, noise: float, surprises: tuple[float, float] = (STUCK, RAIL)
-    ) -> None:
-        self._axis = axis
-        self.stuck = StuckAxis(noise, surprises[0])
+    def __init__(self, noise: float, surprises: tuple[float, float] = (STUCK, RAIL)) -> None:
+        self.runs = AxisRuns(noise, surprises[0])
         self._surprise = surprises[1]
-        self.contact = LostContact()
         self.forget_rails()
 
     def forget_rails(self) -> None:
         """Forget all evidence so far about the ends of the range."""
-        self.rails = AxisRails(self._axis, self._surprise)
+        self.rails = AxisRails(self._surprise)
 
-    def restart(self) -> None:
-        """Restart after a jump of time."""
-        self.stuck.restart()
-        self.contact.restart()
-
-    def judge(
-        self, rows: HopRows, entries: Array, moving: Flags
-    ) -> tuple[list[bool], list[bool], list[bool]]:
+    def judge(self, at: AxisHops, moving: Flags) -> tuple[list[bool], list[bool], list[bool]]:
         """Return three flags for each hop (half a second).
 
         The first flag is True if the axis is stuck at the end of the hop. The second flag is True
         if a run between two jumps ended in the hop. The third flag is True if the axis is on a rail
         at the end of the hop. All flags of a hop without samples are False.
         """
-        axis, judge, rails, contact = self._axis, self.stuck, self.rails, self.contact
-        counts = rows.count, rows.ended[:, axis], rows.longest[:, axis], rows.run[:, axis]
+        runs, rails = self.runs, self.rails
         moves = moving.tolist()
         stuck, lost, saturated = ([False] * len(moves) for _ in range(3))
-        known: list[tuple[int, int]] = []
-        at = AxisHops(axis, rows, entries, known)
         begins: list[tuple[int, bool]] = []  # of hops with samples; whether it was stuck then
-        of_runs = zip(*(x.tolist() for x in counts), strict=True)
-        for h, (is_moving, runs) in enumerate(zip(moves, of_runs, strict=True)):
-            known.append((judge.moving.count, judge.moving.longest))
-            if runs[0]:
-                begins.append((h, judge.stuck))
-                lost[h], jumped = contact.take_hop(at, h, axis, runs, judge.usual(is_moving))
-                stuck[h] = judge.take_hop(is_moving, runs, at.smallest_change[h], jumped)
+        for h, is_moving in enumerate(moves):
+            at.runs.append((runs.moving.count, runs.moving.longest))
+            if at.counts[h][0]:
+                begins.append((h, runs.stuck))
+                stuck[h], lost[h] = runs.take_hop(at, h, is_moving)
         for was_stuck, of in groupby(begins, key=itemgetter(1)):
             hops = [h for h, _ in of]
             if was_stuck:
@@ -124,7 +107,7 @@ class _Sensor(FaultsInForce):
         self.axes = axes
         self.pending: list[Sequence[float]] = []
         self.carry = Carry.none(axes)
-        self.judges = [AxisJudges(axis, NOISE[channel]) for axis in range(axes)]
+        self.judges = [AxisJudges(NOISE[channel]) for _ in range(axes)]
         self._wild = Lasting(FORCE_HOPS if channel == "accel" else RATE_HOPS)
         self._unit = UnitChange(_UNITS[channel], axes) if channel in _UNITS else None
 
@@ -132,7 +115,7 @@ class _Sensor(FaultsInForce):
         self.pending = []
         self.carry.restart()
         for judge in self.judges:
-            judge.restart()
+            judge.runs.restart()
         if self._unit is not None:
             self._unit.restart()
 
@@ -158,14 +141,13 @@ class _Sensor(FaultsInForce):
         wild = np.zeros(len(moving), dtype=bool)
         some = rows.count > 0
         if self.axes == 3 and self.channel == "accel":
-            wild[some] = self._wild.take_hops(unlike_gravity(rows.mean[some]))
+            wild[some] = self._wild.take_hops(unlike_gravity(rows.mean[:, some]))
         if self.channel == "gyro":
-            wild[some] = self._wild.take_hops(turning_wildly(rows.mean[some]))
+            wild[some] = self._wild.take_hops(turning_wildly(rows.mean[:, some]))
         if self._unit is not None:
-            of = rows.level[some], rows.ended[some]
+            of = rows.level[:, some].T, rows.ended[:, some].T
             wild[some] |= self._unit.take_hops(*of, other[some], moving[some])
-        entries = rows.entries()
-        each = [judge.judge(rows, entries, moving) for judge in self.judges]
+        each = [judge.judge(AxisHops(axis, rows), moving) for axis, judge in enumerate(self.judges)]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _, _) in enumerate(each)]
         shown += [(SignalFault.STUCK, AXES[i], lost) for i, (_, lost, _) in enumerate(each)]
         shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, _, on) in enumerate(each)]
@@ -370,8 +352,8 @@ def _change_of_all(rows: HopRows) -> Array:
     """Return two columns (H, 2): the mean change of the vector from sample to sample, and the
     number of changes of the axis that changes most often.
     """
-    level = np.sqrt((rows.level * rows.level).sum(axis=1))
-    return np.column_stack([level, rows.ended.max(axis=1)])
+    level = np.sqrt((rows.level * rows.level).sum(axis=0))
+    return np.column_stack([level, rows.ended.max(axis=0)])
 
 
 def _hop_of(series: Series, first: int) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags
-from imucald.motion.hops import HOP_S
+from imucald.motion.hops import HOP_S, AxisHops
 from imucald.motion.physical_limits import ROAD_FORCE
 
 Counts = NDArray[np.int64]
@@ -75,6 +75,16 @@ Roads differ in roughness by a factor of up to four. The middle between two unit
 """
 
 
+JUMP = 5.0
+"""Smallest jump, as a multiple of the mean non-zero change of the axis: four standard deviations of
+normal changes. (An axis that is coarser than its noise changes seldom, and then by its step.) The
+chance that a repeated value begins and ends with such a change is 4e-9. There are about 1e5 late
+values in 100 h.
+"""
+MIN_RUN = 3
+"""Shortest run of equal values that is used. Noise causes shorter runs."""
+
+
 class Runs:
     """Lengths of the runs of equal values that have ended."""
 
@@ -119,44 +129,49 @@ def rate_of(count: int, longest: int) -> float:
     return 0.0 if count < MIN_RUNS else math.log(count) / max(longest, 1)
 
 
-class StuckAxis:
-    """Tests whether an axis repeats the same value.
+class AxisRuns:
+    """Tests the runs of equal values of an axis: a stuck axis, and a loose contact.
 
-    A run of equal values is compared with earlier runs, at rest and in motion separately. At rest
-    with the engine off, only the sensor's noise changes a value. At rest, the test therefore needs
-    an axis whose step is finer than its noise. noise: noise of a usual sensor of this kind, in SI
-    units per root of hertz; 0: no test at rest. surprise: -log of the probability of a stuck run
-    without a fault [nats].
+    Stuck: A run of equal values is compared with earlier runs, at rest and in motion separately. At
+    rest with the engine off, only the sensor's noise changes a value. At rest, the test therefore
+    needs an axis whose step is finer than its noise.
+
+    Loose contact: An axis jumps to a value, keeps exactly this value, and jumps back. The time at
+    the value is shorter than with a stuck sensor. A sender may also repeat a value because the next
+    value is late, which gives a run of equal values that noise never causes. Such repeated values
+    are usual values of the drive, so the axis does not jump to them and away from them.
+
+    noise: noise of a usual sensor of this kind, in SI units per root of hertz; 0: no test at rest.
+    surprise: -log of the probability of a stuck run without a fault [nats]. moving: runs that have
+    ended in motion. stuck: True if the axis is stuck now.
     """
 
     def __init__(self, noise: float, surprise: float = SURPRISE) -> None:
         self._noise, self._surprise = noise, surprise
         self.moving, self._resting = Runs(), Runs()
-        self._moved_run = self._moved_hops = self._hops = self._run = 0
-        self._rested = False
         self._rest_hops = 0
+        self._change, self._changes = 0.0, 0
         self.stuck = False
+        self.restart()
 
     def restart(self) -> None:
         """Restart after a jump of time."""
-        self._moved_run = self._moved_hops = self._hops = self._run = 0
+        self._moved_run = self._moved_hops = self._hops = 0
+        self._run, self._entry = 0, 0.0  # the open run, and the change with which it began
         self._rested = False
 
-    def usual(self, moving: bool) -> Runs:
-        """Return the statistics of the runs that have ended so far, in motion or at rest."""
-        return self.moving if moving else self._resting
+    def take_hop(self, at: AxisHops, h: int, moving: bool) -> tuple[bool, bool]:
+        """Process hop h (half a second), which has samples.
 
-    def take_hop(
-        self, moving: bool, runs: tuple[int, int, int, int], q: float, jumped: bool
-    ) -> bool:
-        """Process a hop (half a second). Returns whether the axis is stuck at the end of the hop.
-
-        runs, q: count, ended, longest, run and step of the axis, as in `HopRows`. jumped: the
-        longest run lies between jumps and is not usual.
+        Returns whether the axis is stuck at the end of the hop, and whether a run between two jumps
+        that was longer than the usual runs ended in the hop.
         """
-        count, ended, longest, run = runs
+        count, ended, longest, run = at.counts[h]
+        lost, jumped = self._lost_contact(at, h, self.moving if moving else self._resting)
         self._rest_hops += not (moving or self.stuck)  # noise is counted in the others only
         open_before, self._run = self._run, run
+        if run <= count:  # it began in this hop
+            self._entry = at.entry[h]
         if ended:
             if not self.stuck and not jumped:  # else the longest is the stuck run
                 is_old = longest > count and self._rested
@@ -166,17 +181,17 @@ class StuckAxis:
                 self._moved_run = self._moved_hops = self._hops = 0
             self._rested = not moving
             self.stuck = False
-            return False
+            return False, lost
         self._hops += 1
         if moving:
             self._moved_run += count
             self._moved_hops += 1
         else:
             self._rested = True
-        self.stuck = self.stuck or self._is_stuck(run, q)
-        return self.stuck
+        self.stuck = self.stuck or self._is_stuck(run, at.step[h])
+        return self.stuck, lost
 
-    def _is_stuck(self, run: int, q: float) -> bool:
+    def _is_stuck(self, run: int, step: float) -> bool:
         if self._moved_hops >= SHORTEST_HOPS:
             if self._moved_run > self.moving.limit(self._surprise):
                 return True
@@ -186,9 +201,35 @@ class StuckAxis:
             return False
         # Noise changes twice in its bandwidth. A filter in the sensor reduces the bandwidth.
         bandwidth = 0.5 * self._resting.count / (self._rest_hops * HOP_S)
-        if q > FINE_STEP * self._noise * math.sqrt(bandwidth):
+        if step > FINE_STEP * self._noise * math.sqrt(bandwidth):
             return False
         return run > self._resting.limit(self._surprise)
+
+    def _lost_contact(self, at: AxisHops, h: int, usual: Runs) -> tuple[bool, bool]:
+        """Return whether a run between two jumps ended in hop h (half a second) and was longer than
+        the usual runs, and whether the longest run of the hop lies between jumps and is therefore
+        not usual."""
+        count, ended, longest, _ = at.counts[h]
+        found = jumped = False
+        if longest >= MIN_RUN and longest > usual.longest:
+            lasted = self._between_jumps(at, h)
+            jumped = longest == lasted
+            found = lasted > usual.limit()
+        if not jumped:
+            self._change += at.level[h] * count
+            self._changes += ended
+        return found, jumped
+
+    def _between_jumps(self, at: AxisHops, h: int) -> int:
+        """Return the length of the longest run between two jumps that ended in hop h (half a
+        second) [samples]."""
+        change = np.abs(np.diff(at.samples(h), prepend=at.previous(h)))
+        new = np.flatnonzero(change)
+        lasted = np.diff(new, prepend=-self._run)
+        size: Array = change[new]
+        entry = np.append(self._entry, size[:-1])
+        jump = JUMP * self._change / self._changes if self._changes else math.inf
+        return int(lasted[(entry > jump) & (size > jump)].max(initial=0))
 
 
 class Lasting:
@@ -212,15 +253,15 @@ class Lasting:
 
 
 def unlike_gravity(mean: Array) -> Flags:
-    """Return flags (H,) of the mean forces (H, 3) whose magnitude no drive keeps for long."""
+    """Return flags (H,) of the mean forces (3, H) whose magnitude no drive keeps for long."""
     low, high = ROAD_FORCE
-    size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
+    size2 = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]
     return np.asarray((size2 < low * low) | (size2 > high * high))
 
 
 def turning_wildly(mean: Array) -> Flags:
-    """Return flags (H,) of the mean rates (H, 3) whose magnitude no vehicle keeps for long."""
-    size2 = mean[:, 0] * mean[:, 0] + mean[:, 1] * mean[:, 1] + mean[:, 2] * mean[:, 2]
+    """Return flags (H,) of the mean rates (3, H) whose magnitude no vehicle keeps for long."""
+    size2 = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]
     return np.asarray(size2 > MAX_RATE * MAX_RATE)
 
 

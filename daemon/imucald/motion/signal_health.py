@@ -12,7 +12,7 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter, deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,10 +30,11 @@ from imucald.motion.physical_limits import (
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.stuck import (
     SAME,
+    OtherSignal,
     SeenForward,
-    StuckSensor,
     StuckSignal,
     by_force,
+    by_rolling,
     by_turning,
     latest_speed,
     zero_while_wheels_turn,
@@ -113,13 +114,11 @@ class SignalHealth:
     def __init__(self, new: slice, full_scale: float = math.inf, track: float = 1.55) -> None:
         self._new = new
         self._full_scale, self._track = full_scale, track
-        self._sensors = {
-            "accel": StuckSensor(ACCEL.n, ACCEL.x, moving=True),
-            "gyro": StuckSensor(GYRO.n, GYRO.x, moving=False),
-        }
         self._signals = {
-            "speed": StuckSignal(SPEED.n, SPEED.mean, SAME_SPEED),
-            "yaw_rate": StuckSignal(YAW_RATE.n, YAW_RATE.mean, SAME),
+            "accel": StuckSignal(ACCEL.n, slice(ACCEL.x, ACCEL.z + 1), SAME, repeats=False),
+            "gyro": StuckSignal(GYRO.n, slice(GYRO.x, GYRO.z + 1), SAME, repeats=False),
+            "speed": StuckSignal(SPEED.n, slice(SPEED.mean, SPEED.mean + 1), SAME_SPEED),
+            "yaw_rate": StuckSignal(YAW_RATE.n, slice(YAW_RATE.mean, YAW_RATE.mean + 1), SAME),
         }
         self.counts: Counter[tuple[str, SignalFault]] = Counter()
         """Number of ticks with a fault, by signal and fault."""
@@ -129,7 +128,7 @@ class SignalHealth:
         stuck."""
 
     def take_usual(self, former: SignalHealth, channels: Collection[str]) -> None:
-        """Copy the usual repeat times of these channels from another object."""
+        """Copy the usual changes of these channels from another object."""
         for channel, signal in self._signals.items():
             if channel in channels:
                 signal.take_usual(former._signals[channel])
@@ -137,8 +136,6 @@ class SignalHealth:
     def restart(self) -> None:
         """Restart after a jump of time: ticks after the jump are not compared with ticks before
         it."""
-        for sensor in self._sensors.values():
-            sensor.restart()
         for signal in self._signals.values():
             signal.restart()
         self.found = {}
@@ -162,14 +159,21 @@ class SignalHealth:
 
     def stuck(self, signal: str, rows: Array) -> Flags:
         """Return the ticks (N,) at which "accel" or "gyro" is stuck. rows: (N, COLUMNS)."""
-        return self._note_stuck(signal, self._sensors[signal].flags(rows))
+        nowhere = np.zeros(len(rows), dtype=bool)
+        flags = self._flags(
+            signal, rows, nowhere, lambda n: by_rolling(rows, n, moving=signal == "accel")
+        )
+        return self._note_stuck(signal, flags)
 
-    def stuck_speed(self, rows: Array, seen: SeenForward | None) -> Flags:
-        """Return the ticks (N,) at which the speed is stuck. seen: None if no mount is known."""
-        leaving = self._new.stop - self._new.start
-        witness = None if seen is None else by_force(seen, rows, leaving)
-        driving = latest_speed(rows) > DRIVING_SPEED
-        flags = self._signals["speed"].flags(rows, driving, leaving, witness)
+    def stuck_speed(self, rows: Array, seen: Callable[[], SeenForward | None]) -> Flags:
+        """Return the ticks (N,) at which the speed is stuck. seen: gives what the accelerometer
+        shows of the speed; None if no mount is known."""
+
+        def witness(leaving: int) -> OtherSignal | None:
+            forward = seen()
+            return None if forward is None else by_force(forward, rows, leaving)
+
+        flags = self._flags("speed", rows, latest_speed(rows) > DRIVING_SPEED, witness)
         contradicted = zero_while_wheels_turn(rows)
         # A moved sensor looks like a speed that stays, so only the wheels may accuse the speed.
         self.stuck_now["speed"] = bool(contradicted[self._new].any())
@@ -181,28 +185,20 @@ class SignalHealth:
         turning: (N,) yaw rate from another signal [rad/s]. driving: (N,) flags of the ticks in
         which the vehicle drives and `turning` is known.
         """
-        leaving, witness = self._new.stop - self._new.start, by_turning(turning, driving)
-        flags = self._signals["yaw_rate"].flags(rows, driving, leaving, witness)
+        flags = self._flags("yaw_rate", rows, driving, lambda _: by_turning(turning, driving))
         self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
         return self._note_stuck("yaw_rate", flags)
 
-    def sensor_moves(self, signal: str) -> None:
-        """Process new ticks in which "accel" or "gyro" is not stuck, because its mean never
-        repeats."""
-        self._sensors[signal].restart()
-        self.found.pop((signal, SignalFault.STUCK), None)
-
-    def signal_moves(self, signal: str, first: float, driven: Array, change: Array) -> bool:
-        """Process new ticks in which "speed" or "yaw_rate" has short runs only. Returns False if
-        `flags` must test these ticks.
-
-        The arguments are those of `StuckSignal.take_short_runs`. No speed may be zero.
-        """
-        if not self._signals[signal].take_short_runs(first, driven, change):
-            return False
-        self.stuck_now[signal] = False
-        self.found.pop((signal, SignalFault.STUCK), None)
-        return True
+    def _flags(
+        self,
+        signal: str,
+        rows: Array,
+        driving: Flags,
+        witness: Callable[[int], OtherSignal | None],
+    ) -> Flags:
+        """Return the result of `StuckSignal.flags` for the ticks of this call."""
+        leaving = self._new.stop - self._new.start
+        return self._signals[signal].flags(rows, driving, leaving, lambda: witness(leaving))
 
     def _note_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags
@@ -233,29 +229,6 @@ class SignalHealth:
                     out |= spread_out(ticks, hold)
         return out
 
-    def calm_blocks(
-        self,
-        rows: Array,
-        force: Array,
-        ok_force: Flags,
-        speed: Array,
-        ok_speed: Flags,
-        turning: Array,
-    ) -> list[bool]:
-        """Return for each block (B, N, COLUMNS) whether `untrusted` finds no fault.
-
-        The result is also valid if the vehicle turns faster than `turning`, up to MAX_ROAD_RATE.
-        """
-        any_fault = np.zeros(len(rows), dtype=bool)
-        for flags in self._faults(rows, force, ok_force, speed, ok_speed, turning).values():
-            any_fault |= flags.reshape(len(rows), -1).any(axis=1)
-        return [not one for one in any_fault.tolist()]
-
-    def are_trusted(self) -> None:
-        """Process new ticks in which `untrusted` finds no fault."""
-        for key in [key for key in self.found if key[1] is not SignalFault.STUCK]:
-            del self.found[key]
-
     def _faults(
         self,
         rows: Array,
@@ -265,9 +238,7 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> dict[tuple[str, SignalFault], Flags]:
-        """Return the faults. The arguments are those of `untrusted`, for one block or for several
-        blocks (B, N).
-        """
+        """Return the faults. The arguments are those of `untrusted`."""
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=-1)
         wild = np.abs(slope(speed)) > MAX_ROAD_DVDT

@@ -1,19 +1,20 @@
 """Stuck signals: a sensor or a sender that repeats one value.
 
 The error of a stuck signal is the change of the true value, and the signal jumps when it is no
-longer stuck. There are two tests for two kinds of signals. A sensor's values always change because
-of noise, so a repeated value is a fault (`StuckSensor`, over blocks of ticks; `HeldForce`, tick by
-tick). A rounded speed or yaw rate may stay constant, so it is compared with another signal
-(`StuckSignal`). `model_compensation.held_repeats` does not look for stuck sensors: it keeps a stuck
-sensor recognisable.
+longer stuck. A run of equal means over ticks is compared with what another signal shows meanwhile
+(`StuckSignal`; for method A tick by tick: `HeldForce`). `sample_health` judges the samples of a
+sensor without another signal.
+`model_compensation.held_repeats` does not look for stuck sensors: it keeps a stuck sensor
+recognisable.
 
-`EqualRuns` holds the places of the runs of equal values. `UsualRuns` holds the usual duration of
-these runs.
+`EqualRuns` holds the places of the runs of equal values, `UsualChanges` the size of the changes
+between them.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, Flags, true_runs
+from imucald.core.arrays import Array, Flags
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import SAME_SPEED
@@ -30,13 +31,11 @@ from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 Places = NDArray[np.int64]
 
-MIN_STUCK_S = 1.2
-"""Shortest run of equal values that counts as stuck [s]."""
-TIMES_USUAL = 4.0
-"""Smallest ratio of a stuck run to the usual run."""
+MIN_STUCK_TICKS = 12
+"""Longest run of equal values, in ticks of 0.1 s, that is never stuck."""
 RUNS_REMEMBERED = 200
 MIN_RUNS = 50
-"""Number of runs after which a signal can count as stuck."""
+"""Number of runs after which a signal that may repeat its values can count as stuck."""
 
 
 class EqualRuns(NamedTuple):
@@ -52,101 +51,50 @@ class EqualRuns(NamedTuple):
 
 
 def runs_of(values: Array, same: float) -> EqualRuns:
-    """Return the runs in values (N,), N > 0. Neighbouring values in a run differ by at most
-    `same`."""
-    change = np.abs(values[1:] - values[:-1])
+    """Return the runs in values (N, axes), N > 0. No axis of neighbouring values in a run differs
+    by more than `same`."""
+    change = np.abs(values[1:] - values[:-1]).max(axis=1)
     ended = np.flatnonzero(change > same)
     first, last = np.zeros((2, len(ended) + 1), np.int64)
     first[1:], last[:-1], last[-1] = ended + 1, ended, len(values) - 1
     return EqualRuns(first, last, change)
 
 
-SHORT_TICKS = 11
-"""Length of a run, in ticks, that is always shorter than MIN_STUCK_S."""
-
-
-def short_runs(
-    values: Array, same: float, leaving: int
-) -> tuple[NDArray[np.bool_], Places, Places, Places, Array]:
-    """Return the runs in each row of values (B, N) that end among the first `leaving` values.
-
-    The first result (B,) is True if all runs of a row are short and none continues beyond the first
-    `leaving` values. The other four results have one entry for each run (M,): row of the run,
-    places of its first and last value, and size of the change that ends the run.
-    """
-    change = np.abs(values[:, 1:] - values[:, :-1])
-    is_over = change > same
-    ended = np.zeros(values.shape, np.int64)
-    np.cumsum(is_over, axis=1, out=ended[:, 1:])
-    simple = (ended[:, SHORT_TICKS:] > ended[:, :-SHORT_TICKS]).all(axis=1)
-    simple &= is_over[:, leaving - 1]
-    row, last = np.nonzero(is_over[:, :leaving])
-    first = np.zeros_like(last)
-    goes_on = np.flatnonzero(row[1:] == row[:-1])
-    first[goes_on + 1] = last[goes_on] + 1
-    return simple, row, first, last, change[row, last]
-
-
-class UsualRuns:
-    """The last RUNS_REMEMBERED runs that ended: duration of each run, and the change after it."""
+class UsualChanges:
+    """The changes after the last RUNS_REMEMBERED runs that ended."""
 
     def __init__(self) -> None:
-        self._runs = np.zeros((RUNS_REMEMBERED, 2))
+        self._changes = np.zeros(RUNS_REMEMBERED)
         self._ended = 0
 
-    def add_ended_runs(self, lasted: Array, change: Array) -> None:
-        """Store runs that ended: durations (M,), and changes (M,) after the runs."""
-        if not len(lasted):
-            return
-        place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
-        self._runs[place, 0], self._runs[place, 1] = lasted, change
-        self._ended += len(lasted)
+    def add_changes(self, changes: Array) -> None:
+        """Store the changes (M,) after runs."""
+        self._changes[(self._ended + np.arange(len(changes))) % RUNS_REMEMBERED] = changes
+        self._ended += len(changes)
 
     @property
     def known(self) -> bool:
-        """True if enough runs have ended to know the usual length."""
+        """True if enough runs have ended to know the usual change."""
         return self._ended >= MIN_RUNS
 
-    def repeated(self, share: float, times: float) -> float:
-        """Return the mean duration of the runs of a sender that repeats its values, weighted by
-        duration. 0: the sender does not repeat.
-
-        A sender repeats if most of its changes are larger than `times` its step. The step is the
-        change that the share `share` of all changes does not exceed.
-        """
-        lasted, change = self._runs[: self._ended].T
-        is_jump = change > times * self.change(share)
-        if 2 * np.count_nonzero(is_jump) <= len(change):
-            return 0.0
-        return float(lasted[is_jump] @ lasted[is_jump] / lasted[is_jump].sum())
-
-    def change(self, share: float) -> float:
-        """Return the change that this share of all changes does not exceed."""
-        return quantile(self._runs[: self._ended, 1], share)
+    def most(self, share: float) -> float:
+        """Return the change that this share of all changes does not exceed (`numpy.quantile`, which
+        imports masked arrays: 7 ms, 1.2 MiB)."""
+        ordered = np.sort(self._changes[: self._ended])
+        place = share * (len(ordered) - 1)
+        low = int(place)
+        high = min(low + 1, len(ordered) - 1)
+        return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
 
 
-def quantile(values: Array, share: float) -> float:
-    """Return a quantile of values (N,). `numpy.quantile` gives the same result, but imports masked
-    arrays (7 ms, 1.2 MiB).
-    """
-    ordered = np.sort(values)
-    place = share * (len(ordered) - 1)
-    low = int(place)
-    high = min(low + 1, len(ordered) - 1)
-    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))
-
-
-STUCK_TICKS = 12
-"""Number of identical means from which a sensor is stuck: noise always changes the values."""
 BEFORE_RUN = 12
 """Number of ticks before a run whose speeds show the value at which the run begins."""
-STUCK_MOVING_TICKS = 5
-"""Number of identical means while the vehicle rolls from which a sensor is stuck."""
+ROLLED_TICKS = 3.5
+"""Number of ticks with a rolling vehicle within a run, after its first tick, from which a sensor is
+stuck: noise always changes its values."""
 HELD_TICKS = 10
 """Number of ticks (a second) with the same force, also within each tick, from which the force is
 stuck."""
-STUCK_HOLE = 4
-"""Largest distance in ticks from one sample to the next within a run: 2.5 Hz."""
 SAME = 1e-9
 """Difference between means over nine and ten equal samples that comes from rounding [m/s^2,
 rad/s]."""
@@ -160,10 +108,6 @@ holds a value back by one step, and a sender's dead band holds a value back by t
 SMOOTH = np.full(10, 0.1)
 """Weights of a mean over a second. The other yaw rate is averaged because vibration is not a
 turn."""
-SPLIT, JUMPS = 0.1, 1.5
-"""Share of changes that may be smaller than the signal's step, because means over ticks split a
-step. Most changes of a sender that repeats its values are larger than `JUMPS` steps.
-"""
 LARGE = 0.9
 """Quantile of the changes that is used as the possible error of a signal, because means over ticks
 split steps."""
@@ -184,53 +128,6 @@ WHEELS_WITHIN = np.ones(41)
 """Window of 2 s before and after a tick, in which ticks with turning wheels are counted. Coarse
 wheel speeds do not change in every tick.
 """
-
-
-class StuckSensor:
-    """Flags ticks of a sensor that repeats one value for STUCK_TICKS or longer, also in motion.
-
-    A coarse sensor may repeat a value at rest. A sensor that got stuck before the vehicle stopped
-    is flagged at rest too. The tick after a stuck run is flagged as well, because its mean may
-    contain stuck samples.
-
-    count: column of the sensor's number of samples. first: column of the sensor's first axis.
-    moving: True if a vehicle without a received speed counts as moving.
-    """
-
-    def __init__(self, count: int, first: int, moving: bool) -> None:
-        self._count, self._axes, self._moving = count, slice(first, first + 3), moving
-        self._held: Array | None = None  # (3,) values at which it is stuck
-
-    def restart(self) -> None:
-        """Restart after a jump of time: the next value is new."""
-        self._held = None
-
-    def flags(self, rows: Array) -> Flags:
-        """Return flags of the ticks (N,) at which the sensor is stuck. rows: (N, COLUMNS)."""
-        flags = np.zeros(len(rows), dtype=bool)
-        at = np.flatnonzero(rows[:, self._count] > 0)
-        values = rows[at, self._axes]
-        x, y, z = (np.abs(values[1:] - values[:-1]) < SAME).T
-        same = x & y & z
-        if np.count_nonzero(same):
-            self._flag_runs(rows, at, values, same & (np.diff(at) <= STUCK_HOLE), flags)
-        self._held = values[-1].copy() if len(at) and flags[at[-1]] else None
-        return one_more(flags)
-
-    def _flag_runs(
-        self, rows: Array, at: NDArray[np.int64], values: Array, same: Flags, flags: Flags
-    ) -> None:
-        speed = latest_speed(rows)
-        moving = (
-            speed > ROLLING_SPEED if np.isfinite(speed[-1]) else np.full(len(rows), self._moving)
-        )
-        for first, last in true_runs(same):
-            part = slice(at[first], at[last] + 1)
-            held = self._held
-            known = held is not None and bool((np.abs(values[first] - held) < SAME).all())
-            driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
-            if known or (part.stop - part.start >= STUCK_TICKS and driven):
-                flags[part] = True
 
 
 def latest_speed(rows: Array) -> Array:
@@ -320,6 +217,19 @@ def by_force(seen: SeenForward, rows: Array, leaving: int) -> OtherSignal:
     return OtherSignal(said, least, 1.0, said[:, leaving - 1], BEFORE_RUN)
 
 
+def by_rolling(rows: Array, leaving: int, moving: bool) -> OtherSignal:
+    """Return the number of ticks with a rolling vehicle, in ticks (N, COLUMNS), as evidence about a
+    sensor: noise always changes its values, but a coarse sensor may repeat a value at rest.
+
+    moving: True if a vehicle without a received speed counts as moving.
+    """
+    speed = latest_speed(rows)
+    known = np.isfinite(speed[-1])
+    rolled = np.cumsum(speed > ROLLING_SPEED if known else np.full(len(rows), moving), dtype=float)
+    said = np.stack([rolled, np.zeros(len(rows))])
+    return OtherSignal(said, ROLLED_TICKS, 0.0, said[:, leaving - 1])
+
+
 def by_turning(turning: Array, driving: Flags) -> OtherSignal:
     """Return another yaw rate (N,) [rad/s] as evidence about the yaw rate. Only ticks with the flag
     `driving` are used.
@@ -331,74 +241,84 @@ def by_turning(turning: Array, driving: Flags) -> OtherSignal:
 class _OpenRun(Struct, frozen=True):
     """A run that continues in the next call.
 
-    lasted: (2,) number of driving ticks in the run, and number of ticks with evidence from the
-    other signal. low: (2,) smallest evidence, relative to the origin of the next call. gained:
-    largest change according to the other signal.
+    value: (axes,) value of the run. lasted: (2,) number of driving ticks in the run, and number of
+    ticks with evidence from the other signal. low: (2,) smallest evidence, relative to the origin
+    of the next call. gained: largest change according to the other signal.
     """
 
-    value: float
+    value: Array
     lasted: Array
     low: Array
     gained: float
     is_stuck: bool
 
 
-_NO_RUN = _OpenRun(math.nan, np.zeros(2), np.full(2, math.nan), 0.0, False)
+_NO_RUN = _OpenRun(np.full(1, math.nan), np.zeros(2), np.full(2, math.nan), 0.0, False)
 
 
 class StuckSignal:
-    """Flags ticks at which a vehicle signal stays constant while another signal shows a change.
+    """Flags ticks at which a signal stays constant while another signal shows a change.
 
-    A coarse signal keeps a value for minutes while the vehicle keeps its speed or direction. A
-    sender that repeats each value several times has long runs all the time. A run, also of zeros,
-    is therefore compared with another signal within the run. A run of the speed is also compared
-    with the ticks before the run. A sender that repeats may repeat for four of its usual runs.
-    Without another signal, the signal is never stuck.
+    A sensor's values always change because of noise, so the other signal is that the vehicle rolls
+    (`by_rolling`). A coarse signal of the vehicle keeps a value for minutes while the vehicle keeps
+    its speed or direction, so it is compared with a signal that measures the same (`by_force`,
+    `by_turning`), within a usual change of its own. A run of the speed is also compared with the
+    ticks before the run. A signal that got stuck before the vehicle stopped is flagged at rest too.
+    Without another signal, the signal is never stuck. The tick after a stuck run is flagged as
+    well, because its mean may contain stuck samples.
 
-    count, mean: columns of the signal's number of samples and of their mean. same: largest
-    difference between two equal values.
+    count: column of the signal's number of samples. means: columns of its means. same: largest
+    difference between two equal values. repeats: True if sound senders may repeat values.
     """
 
-    def __init__(self, count: int, mean: int, same: float) -> None:
-        self._count, self._mean, self._same = count, mean, same
-        self._ended = UsualRuns()
-        """Ended runs: number of driving ticks in each run, and the change after the run."""
+    def __init__(self, count: int, means: slice, same: float, repeats: bool = True) -> None:
+        self._count, self._means, self._same = count, means, same
+        self._repeats = repeats
+        self._usual = UsualChanges()
         self.restart()
 
     def take_usual(self, former: StuckSignal) -> None:
-        """Copy the ended runs of another object."""
-        self._ended = former._ended
+        """Copy the usual changes of another object."""
+        self._usual = former._usual
 
     def restart(self) -> None:
         """Restart after a jump of time: the open run ends."""
         self._open = _NO_RUN
 
     def flags(
-        self, rows: Array, driving: Flags, leaving: int, witness: OtherSignal | None
+        self, rows: Array, driving: Flags, leaving: int, other: Callable[[], OtherSignal | None]
     ) -> Flags:
         """Return flags of the ticks (N,) at which the signal is stuck.
 
         rows: (N, COLUMNS). leaving: number of first rows that the next call does not contain.
-        driving: (N,) flags of the ticks in which the vehicle drives. Other ticks do not count for
-        the usual length of runs. witness: evidence of the other signal, or None.
+        driving: (N,) flags of the ticks in which the vehicle drives. Runs in other ticks do not
+        count for the usual changes. other: gives the evidence of the other signal, or None. It is
+        asked only if there is a long run, or a run that an earlier or the next call also contains.
         """
         out = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
         if not len(at):
             return out
-        values = rows[at, self._mean]
+        values = rows[at, self._means]
         first, last, change = runs_of(values, self._same)
         begins, ends = at[first], at[last]
+        before = self._open if self._goes_on(values[0]) else _NO_RUN
+        crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
+        is_asked = (
+            before is not _NO_RUN or len(crossing) or (ends - begins).max() >= MIN_STUCK_TICKS
+        )
+        if not is_asked and not self._repeats:
+            self.restart()
+            return out
+        witness = other() if is_asked else None
         count = np.zeros((2, len(rows) + 1))
         np.cumsum(driving, out=count[0, 1:])
         if witness is not None:
             np.cumsum(np.isfinite(witness.said[0]), out=count[1, 1:])
         lasted = count[:, ends + 1] - count[:, begins]
-        before = self._open if abs(values[0] - self._open.value) <= self._same else _NO_RUN
         lasted[:, 0] += before.lasted
-        stuck = lasted[1] > MIN_STUCK_S / TICK_S
-        if np.count_nonzero(stuck):
-            stuck &= lasted[1] > self._limit()
+        stuck = lasted[1] > MIN_STUCK_TICKS
+        stuck &= self._usual.known or not self._repeats
         if before.is_stuck:
             stuck[0] = True
 
@@ -413,10 +333,7 @@ class StuckSignal:
             out[part] |= stuck[i]
         over = ~stuck & (ends < leaving) & (lasted[0] > 0.0)
         over[-1] = False
-        after = last[over]
-        until_next = count[0, at[after + 1]] - count[0, at[after] + 1]
-        self._ended.add_ended_runs(lasted[0, over] + until_next, change[after])
-        crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
+        self._usual.add_changes(change[last[over]])
         if not len(crossing):
             self.restart()
             return one_more(out)
@@ -427,34 +344,19 @@ class StuckSignal:
             low, gained = _changes(witness, slice(begins[i], leaving), run)
             low = low - witness.origin
         so_far = run.lasted + count[:, leaving] - count[:, begins[i]]
-        self._open = _OpenRun(float(values[first[i]]), so_far, low, gained, bool(stuck[i]))
+        self._open = _OpenRun(values[first[i]], so_far, low, gained, bool(stuck[i]))
         return one_more(out)
 
-    def take_short_runs(self, first: float, driven: Array, change: Array) -> bool:
-        """Process ticks in which the signal has short runs only, see `short_runs`.
-
-        first: first value of the ticks. driven: (M,) number of driving ticks in each run. change:
-        (M,) change of the value after each run. Returns False if the first run continues an earlier
-        run. The caller must then call `flags`.
-        """
-        if abs(first - self._open.value) <= self._same:
-            return False
-        self._ended.add_ended_runs(driven, change)
-        self.restart()
-        return True
-
-    def _limit(self) -> float:
-        """Return the length [ticks of 0.1 s] above which a run may be stuck; infinite until the
-        usual length of runs is known.
-        """
-        if not self._ended.known:
-            return math.inf
-        return max(MIN_STUCK_S / TICK_S, TIMES_USUAL * self._ended.repeated(SPLIT, JUMPS))
+    def _goes_on(self, value: Array) -> bool:
+        """Return whether a value (axes,) continues the open run."""
+        return bool((np.abs(value - self._open.value) <= self._same).all())
 
     def _has_changed(self, witness: OtherSignal | None, part: slice, run: _OpenRun) -> bool:
         if witness is None:
             return False
-        least = witness.least + witness.steps * self._ended.change(LARGE)
+        least = witness.least
+        if witness.steps:
+            least += witness.steps * self._usual.most(LARGE)
         return _changes(witness, part, run)[1] > least
 
 

@@ -70,23 +70,18 @@ class BlockSpeed:
         t: Array,
         at: Array,
         even: EvenBlock | None,
-        forward: Callable[[], SeenForward | None],
+        seen: Callable[[], SeenForward | None],
     ) -> tuple[Array, Flags, bool]:
         """Return the speed (N + 2,) of a block, a flag for each value that is known, and whether
         this speed equals the speed in `even`.
 
         rows: (ROWS, COLUMNS) ticks. t: end times of `rows` [s]. at: (N + 2,) times of the returned
-        speed [s]. forward: function that returns the speed changes that the accelerometer shows,
-        for all ticks.
+        speed [s]. seen: gives the speed changes that the accelerometer shows, for all ticks.
         """
         driven = None if even is None else even.driven
-        runs = None if driven is None else driven.runs
-        stuck = None
-        if runs is None or not self._health.signal_moves(
-            "speed", runs.first, runs.driven, runs.change
-        ):
-            stuck = self._health.stuck_speed(rows, forward())
-        is_even = driven is not None and (stuck is None or not np.count_nonzero(stuck))
+        stuck = self._health.stuck_speed(rows, seen)
+        is_stuck = bool(np.count_nonzero(stuck))
+        is_even = driven is not None and not is_stuck
         is_even = is_even and not self._hides_step(rows, driven)
         if driven is not None and is_even:
             self._seen.add("speed")
@@ -96,7 +91,7 @@ class BlockSpeed:
             has = rows[:, tk.SPEED.n] > 0
             if np.count_nonzero(has):
                 self._seen.add("speed")
-            has &= True if stuck is None else ~stuck
+            has &= ~stuck
             mean = rows[has, tk.SPEED.mean]
             self._follow_least_speed(np.abs(mean))
             times, step = t[has] - rows[has, tk.SPEED.age], 0.0
@@ -106,7 +101,7 @@ class BlockSpeed:
         self._step = self.knots.step or self._step
         if np.count_nonzero(ok):
             self._is_rolling = abs(float(speed[ok][-1])) > ROLLING_SPEED
-        elif stuck is not None and np.count_nonzero(stuck):
+        elif is_stuck:
             self._is_rolling = True
         known = rows[:, tk.REVERSE]
         if even is None:

@@ -2,8 +2,7 @@
 
 In live operation, each block is computed when it is complete. In replay, all blocks of a chunk are
 computed together. Live operation and replay use `even_blocks`, so the results are equal to the last
-bit. A block that has a hole or may be stuck is marked. `signal_blocks` processes such blocks one by
-one.
+bit. A block that has a hole is marked. `signal_blocks` processes such blocks one by one.
 """
 
 from __future__ import annotations
@@ -12,20 +11,16 @@ import math
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags
 from imucald.motion import ticks as tk
 from imucald.motion.coarse_speed import (
     COARSE,
-    SAME_SPEED,
     passages,
     stays,
     step_of,
 )
-from imucald.motion.signal_health import SignalHealth
-from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED, ZERO_SPEED
-from imucald.motion.stuck import SAME, short_runs
+from imucald.motion.standstill import ROLLING_SPEED, ZERO_SPEED
 from imucald.motion.ticks import TICK_S
 
 BLOCK_TICKS = 64
@@ -50,18 +45,6 @@ MID = slice(1, BLOCK_TICKS + 1)
 _BACK = (np.arange(ROWS) - (ROWS - 1)) * TICK_S
 
 
-class BlockRuns(Struct, frozen=True):
-    """Runs of equal values of a block. All runs are short, and no run crosses the block's end.
-
-    first: first value of the block. driven: (M,) number of driving ticks in each run that contains
-    driving. change: (M,) change of the value after each of these runs.
-    """
-
-    first: float
-    driven: Array
-    change: Array
-
-
 class Knots(Struct, frozen=True):
     """Times (K,) at which a speed is known [s], and the step of the speed [m/s].
 
@@ -80,9 +63,7 @@ class Driven(Struct, frozen=True):
 
     speed: (N + 2,) [m/s]. ok: (N + 2,) True where the speed is known, see `PART`. accel: (N,) dv/dt
     [m/s^2]. least: smallest speed whose neighbouring speeds are not zero [m/s]. rolls: all speeds
-    show a rolling vehicle. moves: no speed is zero. runs: None if the speed may be stuck. calm:
-    force, rate, speed and wheel speeds are plausible in every tick. knots: times at which the speed
-    is known.
+    show a rolling vehicle. moves: no speed is zero. knots: times at which the speed is known.
     """
 
     speed: Array
@@ -91,8 +72,6 @@ class Driven(Struct, frozen=True):
     least: float
     rolls: bool
     moves: bool
-    runs: BlockRuns | None
-    calm: bool
     knots: Knots
 
 
@@ -100,24 +79,19 @@ class EvenBlock(Struct, frozen=True):
     """Block in which every tick has a force and a rate, N = BLOCK_TICKS.
 
     force, rate: (N + 2, 3). ok_force, ok_rate: (N + 2,) True where force and rate are known.
-    force_repeats, rate_repeats: two ticks in a row have the same mean, as with a stuck sensor.
     rate_seldom: some ticks have a single gyroscope sample. steering, yaw_rate, lateral: (N + 2,);
-    None unless all ticks have the signal. yaw_runs: None if the yaw rate may be stuck. has_heading,
-    has_reverse: True if any tick has a heading or a reverse signal. is_reverse: True if any tick is
-    in reverse.
+    None unless all ticks have the signal. has_heading, has_reverse: True if any tick has a heading
+    or a reverse signal. is_reverse: True if any tick is in reverse.
     """
 
     force: Array
     ok_force: Flags
-    force_repeats: bool
     rate: Array
     ok_rate: Flags
-    rate_repeats: bool
     rate_seldom: bool
     driven: Driven | None
     steering: Array | None
     yaw_rate: Array | None
-    yaw_runs: BlockRuns | None
     lateral: Array | None
     has_heading: bool
     has_reverse: bool
@@ -202,7 +176,7 @@ def times_of(end: Array) -> Array:
     return np.asarray(end + _BACK)
 
 
-def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
+def even_blocks(rows: Array) -> list[EvenBlock | None]:
     """Return the blocks of ticks (KEEP + B * BLOCK_TICKS, COLUMNS); None for a block whose force or
     rate has a hole.
 
@@ -218,12 +192,11 @@ def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
         windows = windows[whole]
     t = times_of(windows[:, -1:, tk.T])
     at = t[:, PART] - 0.5 * TICK_S
-    force, ok_force, force_repeats, _ = _sensed(windows, t, at, tk.ACCEL)
-    rate, ok_rate, rate_repeats, rate_seldom = _sensed(windows, t, at, tk.GYRO)
-    driven = _driven(windows, t, at, (force, ok_force, rate, ok_rate), health)
+    force, ok_force, _ = _sensed(windows, t, at, tk.ACCEL)
+    rate, ok_rate, rate_seldom = _sensed(windows, t, at, tk.GYRO)
+    driven = _driven(windows, t, at)
     columns = tk.STEERING, tk.YAW_RATE, tk.LATERAL_ACCEL
     steering, yaw_rate, lateral = (_means(windows, of) for of in columns)
-    yaw_runs = _yaw_runs(windows)
     heading, reverse = windows[:, :, tk.HEADING], windows[:, :, tk.REVERSE]
     has_heading, has_reverse = (np.any(~np.isnan(x), axis=1).tolist() for x in (heading, reverse))
     is_reverse = np.any(reverse > 0.5, axis=1).tolist()
@@ -231,15 +204,12 @@ def even_blocks(rows: Array, health: SignalHealth) -> list[EvenBlock | None]:
         found[b] = EvenBlock(
             force=force[i],
             ok_force=ok_force[i],
-            force_repeats=force_repeats[i],
             rate=rate[i],
             ok_rate=ok_rate[i],
-            rate_repeats=rate_repeats[i],
             rate_seldom=rate_seldom[i],
             driven=driven[i],
             steering=steering[i],
             yaw_rate=yaw_rate[i],
-            yaw_runs=yaw_runs[i],
             lateral=lateral[i],
             has_heading=has_heading[i],
             has_reverse=has_reverse[i],
@@ -255,16 +225,15 @@ def _whole(windows: Array, count: int) -> Flags:
 
 def _sensed(
     windows: Array, t: Array, at: Array, columns: tk.AccelColumns | tk.GyroColumns
-) -> tuple[Array, Flags, list[bool], list[bool]]:
-    """Return values (B, N + 2, 3), flags of the known values, and for each block whether ticks
-    repeat and whether samples are seldom.
+) -> tuple[Array, Flags, list[bool]]:
+    """Return values (B, N + 2, 3), flags of the known values, and for each block whether samples
+    are seldom.
     """
     times = t - windows[:, :, columns.age]
     mean = windows[:, :, columns.x : columns.z + 1]
-    same = np.all(np.abs(mean[:, 1:] - mean[:, :-1]) < SAME, axis=2)
     seldom = windows[:, :, columns.n] < 2
     values, ok = bridged_blocks(at, times, mean, ACCEL_GAP)
-    return values, ok, np.any(same, axis=1).tolist(), np.any(seldom, axis=1).tolist()
+    return values, ok, np.any(seldom, axis=1).tolist()
 
 
 def _means(windows: Array, columns: tk.SignalColumns) -> list[Array | None]:
@@ -274,22 +243,14 @@ def _means(windows: Array, columns: tk.SignalColumns) -> list[Array | None]:
     return [values[b].copy() if has else None for b, has in enumerate(whole)]
 
 
-def _driven(
-    windows: Array,
-    t: Array,
-    at: Array,
-    sensed: tuple[Array, Flags, Array, Flags],
-    health: SignalHealth,
-) -> list[Driven | None]:
-    """Return the speed of the blocks. sensed: force, flags of the known force, rate, flags of the
-    known rate."""
+def _driven(windows: Array, t: Array, at: Array) -> list[Driven | None]:
+    """Return the speed of the blocks."""
     whole = _whole(windows, tk.SPEED.n)
     found: list[Driven | None] = [None] * len(windows)
     if not whole.any():
         return found
     if not whole.all():
         windows, t, at = windows[whole], t[whole], at[whole]
-        sensed = tuple(one[whole] for one in sensed)  # type: ignore[assignment]
     mean = windows[:, :, tk.SPEED.mean]
     speed, ok, knots = speed_blocks(at, t - windows[:, :, tk.SPEED.age], mean)
     size = np.abs(mean)
@@ -302,54 +263,6 @@ def _driven(
     ok_mid = ok[:, MID]
     rests = np.any(ok_mid & (bridged_size[:, MID] < ZERO_SPEED), axis=1)
     is_moving = (np.any(ok_mid, axis=1) & ~rests).tolist()
-    runs = _speed_runs(mean, size)
-    force, ok_force, rate, ok_rate = sensed
-    turning = np.sqrt((rate * rate).sum(axis=2)) * ok_rate
-    calm = health.calm_blocks(windows[:, PART], force, ok_force, speed, ok, turning)
     for i, b in enumerate(np.flatnonzero(whole).tolist()):
-        found[b] = Driven(
-            speed[i], ok[i], accel[i], least[i], rolls[i], is_moving[i], runs[i], calm[i], knots[i]
-        )
+        found[b] = Driven(speed[i], ok[i], accel[i], least[i], rolls[i], is_moving[i], knots[i])
     return found
-
-
-def _speed_runs(mean: Array, size: Array) -> list[BlockRuns | None]:
-    """Return the runs of speeds (B, ROWS). size: absolute values of the speeds.
-
-    A block with a zero speed gives None, because wheels may turn while the speed signal is zero.
-    """
-    simple: Flags = size.min(axis=1) > SAME_SPEED
-    return _runs(mean, SAME_SPEED, simple, size > DRIVING_SPEED)
-
-
-def _yaw_runs(windows: Array) -> list[BlockRuns | None]:
-    whole = _whole(windows, tk.YAW_RATE.n)
-    if not whole.any():
-        return [None] * len(windows)
-    known = windows[:, :, tk.SPEED.n] > 0
-    drives = known & (np.abs(windows[:, :, tk.SPEED.mean]) > DRIVING_SPEED)
-    return _runs(windows[:, :, tk.YAW_RATE.mean], SAME, whole, drives)
-
-
-def _runs(values: Array, same: float, use: Flags, drives: Flags) -> list[BlockRuns | None]:
-    """Return the runs of a signal's values (B, ROWS) in the blocks (B,) that `use` selects."""
-    driven: Array = np.zeros((len(values), ROWS + 1))
-    np.cumsum(drives, axis=1, out=driven[:, 1:])
-    simple, block, first, last, change = short_runs(values, same, BLOCK_TICKS)
-    lasted = driven[block, last + 1] - driven[block, first]
-    kept = lasted > 0.0
-    return _by_block(values, simple & use, block[kept], lasted[kept], change[kept])
-
-
-def _by_block(
-    values: Array, simple: Flags, block: NDArray[np.int64], lasted: Array, change: Array
-) -> list[BlockRuns | None]:
-    edges = np.searchsorted(block, np.arange(len(simple) + 1)).tolist()
-    return [
-        BlockRuns(
-            float(values[b, 0]), lasted[edges[b] : edges[b + 1]], change[edges[b] : edges[b + 1]]
-        )
-        if is_simple
-        else None
-        for b, is_simple in enumerate(simple.tolist())
-    ]

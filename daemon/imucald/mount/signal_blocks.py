@@ -17,7 +17,6 @@ from msgspec import Struct, field
 from imucald.core.arrays import Array, Flags
 from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
-from imucald.motion.physical_limits import MAX_ROAD_RATE
 from imucald.motion.signal_health import HOLD_TICKS, SignalFault, SignalHealth, spread_out
 from imucald.motion.standstill import DRIVING_SPEED
 from imucald.motion.straight import yaw_rate_with_understeer
@@ -183,7 +182,7 @@ class SignalBlockMaker:
         rows = np.concatenate([self._rows[: self._n], ticks])
         end = len(rows) - (len(rows) - KEEP) % BLOCK_TICKS
         if end > ROWS and self.health.is_possible(rows[KEEP:end]):
-            blocks = even_blocks(rows[:end], self.health)
+            blocks = even_blocks(rows[:end])
             ends = rows[ROWS - 1 : end : BLOCK_TICKS, tk.T].tolist()
             self._expected.extend(zip(ends, blocks, strict=True))
 
@@ -205,7 +204,7 @@ class SignalBlockMaker:
             if end == rows[-1, tk.T]:
                 return block
         self.health.drop_impossible(rows[KEEP:])
-        return even_blocks(rows, self.health)[0]
+        return even_blocks(rows)[0]
 
     def block(self) -> SignalBlock:
         """Return the signals of the next block."""
@@ -231,14 +230,9 @@ class SignalBlockMaker:
             rest = self._speed.no_rest()
         else:
             rest = self._speed.rest(speed[MID], ok_speed[MID], force[MID], rate[MID], ok_rate[MID])
-        turning = np.abs(yaw_rate)
-        if driven is not None and driven.calm and turning.max() <= MAX_ROAD_RATE:
-            self.health.are_trusted()
-            learn = ok_force[MID].copy()
-        else:
-            curve = np.maximum(turning, np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
-            bad = self.health.untrusted(rows[PART], force, ok_force, speed, ok_speed, curve)
-            learn = ~bad[MID] & ok_force[MID]
+        turning = np.maximum(np.abs(yaw_rate), np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
+        bad = self.health.untrusted(rows[PART], force, ok_force, speed, ok_speed, turning)
+        learn = ~bad[MID] & ok_force[MID]
         prepared = SignalBlock(
             t=t[PART][MID],
             force=force[MID],
@@ -317,8 +311,8 @@ class SignalBlockMaker:
     def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
         """Return the force (N + 2, 3), flags of the known values, and whether the force equals the
         precomputed force in `even`."""
-        stuck = self._stuck_sensor("accel", even is None or even.force_repeats)
-        if even is not None and stuck is None:
+        stuck = self.health.stuck("accel", self._rows)
+        if even is not None and not np.count_nonzero(stuck):
             return even.force, even.ok_force, True
         times, values, _ = self._known(t, tk.ACCEL, stuck)
         return *bridged(at, times, values, ACCEL_GAP), False
@@ -326,8 +320,8 @@ class SignalBlockMaker:
     def _rate(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
         """Return the rate (N + 2, 3), flags of the known values, and whether the rate comes from
         complete data without a stuck sensor."""
-        stuck = self._stuck_sensor("gyro", even is None or even.rate_repeats)
-        is_even = even is not None and stuck is None
+        stuck = self.health.stuck("gyro", self._rows)
+        is_even = even is not None and not np.count_nonzero(stuck)
         if is_even and even is not None and not even.rate_seldom:
             self._rate_walk = np.zeros((3, 3))
             return even.rate, even.ok_rate, True
@@ -335,24 +329,14 @@ class SignalBlockMaker:
         self._rate_walk = sampling_walk(times, values, counts, ACCEL_GAP)
         return *bridged(at, times, values, ACCEL_GAP), is_even
 
-    def _stuck_sensor(self, signal: str, may_be: bool) -> Flags | None:
-        """Return the ticks at which a sensor is stuck; None: no tick."""
-        if not may_be:
-            self.health.sensor_moves(signal)
-            return None
-        stuck = self.health.stuck(signal, self._rows)
-        return stuck if np.count_nonzero(stuck) else None
-
     def _known(
-        self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags | None
+        self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags
     ) -> tuple[Array, Array, Array]:
         """Return times (M,) [s], means (M, 3) and numbers of samples (M,) of the ticks that have
         samples.
         """
         rows = self._rows
-        has = rows[:, columns.n] > 0
-        if stuck is not None:
-            has &= ~stuck
+        has = (rows[:, columns.n] > 0) & ~stuck
         known = rows[has]
         return (
             t[has] - known[:, columns.age],
@@ -400,13 +384,10 @@ class SignalBlockMaker:
         has = None if is_even else rows[:, tk.YAW_RATE.n] > 0
         if has is None or np.count_nonzero(has):
             self.seen.add("yaw_rate")
-            stuck = self._stuck_yaw_rate(even)
-            is_stuck = stuck is not None and np.count_nonzero(stuck)
-            if even is not None and even.yaw_rate is not None and not is_stuck:
+            stuck = self._stuck_yaw_rate()
+            if even is not None and even.yaw_rate is not None and not np.count_nonzero(stuck):
                 return even.yaw_rate, np.ones(len(at), dtype=bool)
-            has = rows[:, tk.YAW_RATE.n] > 0
-            if stuck is not None:
-                has &= ~stuck
+            has = (rows[:, tk.YAW_RATE.n] > 0) & ~stuck
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
         if not s.uses_steering or not np.count_nonzero(ok_angle):
@@ -415,22 +396,14 @@ class SignalBlockMaker:
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle & ok_speed
 
-    def _stuck_yaw_rate(self, even: EvenBlock | None) -> Flags | None:
+    def _stuck_yaw_rate(self) -> Flags:
         """Return the ticks at which the yaw rate stays constant while the steering angle or the
-        gyroscope changes; None: no tick.
+        gyroscope changes.
 
         If there is a steering angle, the gyroscope is not used, because a sensor that is turned by
         hand also turns the gyroscope.
         """
         rows, v = self._rows, self._settings.vehicle
-        runs = None if even is None else even.yaw_runs
-        is_known = "steering" not in self.seen or (even is not None and even.steering is not None)
-        if (
-            runs is not None
-            and is_known
-            and self.health.signal_moves("yaw_rate", runs.first, runs.driven, runs.change)
-        ):
-            return None
         speed = np.where(rows[:, tk.SPEED.n] > 0, rows[:, tk.SPEED.mean], 0.0)
         if "steering" in self.seen:
             known = rows[:, tk.STEERING.n] > 0

@@ -53,13 +53,9 @@ APART = 4
 """Divisor of the window length: if a window contains a stop, the next window begins 1/APART of a
 length later."""
 STUCK = "stuck_signal"
-STUCK_S, STUCK_RUNS = 8.0, 4.0
-"""Shortest time [s] that counts as stuck for a signal that may keep its value. The time must also
-be STUCK_RUNS times the usual stay, or too long for chance (`number_as_long`)."""
+STUCK_S = 8.0
+"""Shortest time [s] that counts as stuck for a signal that may keep its value."""
 FEW_OTHERS = 3
-PARTNER_SHARE = 0.5
-"""Smallest ratio of a related signal's spread during a stay to its usual spread, at which the slow
-signal counts as stuck."""
 
 
 def number_as_long(own: Index, length: int) -> float:
@@ -235,22 +231,13 @@ def stuck(
     steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > DRIVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
-    usual = _usual(length)
-    long = length > max(STUCK_S, STUCK_RUNS * usual)
-    for k in np.flatnonzero(long):
-        long[k] = length[k] > STUCK_RUNS * _usual_of(table[first], length, int(k))
     stays = [(float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True)]
     asked = np.flatnonzero(length > STUCK_S)
     felt = np.full(len(stays), np.nan)
     if name == "speed":
         felt[asked] = chances_of_sensors(samples, tuple(stays[k] for k in asked))
-    sole = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
-    # A chance that includes the inertial sensors needs no other evidence.
-    sure, maybe = sole & np.isfinite(felt), sole | (long & (usual > 0.0))
-    spans = [
-        stays[k] for k in np.flatnonzero(maybe) if sure[k] or _others_move(name, samples, stays[k])
-    ]
-    spans = [s for s in spans if not is_shown_often(series, s)]
+    is_unusual = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
+    spans = [stays[k] for k in np.flatnonzero(is_unusual) if not is_shown_often(series, stays[k])]
     if sum(b - a for a, b in spans) >= STUCK_S:
         yield stuck_fault(name, spans)
 
@@ -266,20 +253,6 @@ def stuck_fault(name: str, spans: Sequence[tuple[float, float]]) -> Fault:
         f"{counted(len(spans), 'piece')} of driving, from {spans[0][0]:.0f} s on.",
         {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / least,
     )  # fmt: skip
-
-
-def _usual(length: Array) -> float:
-    """Return the length of stay that 99 % of the stays do not exceed; 0 if there are too few
-    stays."""
-    length = length[length > 0.0]
-    return float(np.quantile(length, 0.99, method="lower")) if len(length) > FEW_STAYS else 0.0
-
-
-def _usual_of(values: Array, length: Array, k: int) -> float:
-    """Return the length that 99 % of the stays at the same value do not exceed. If a sensor
-    repeatedly shows a value for some time (a dead zone, a default value), this value is no evidence
-    of a stuck sensor."""
-    return _usual(length[(values == values[k]).all(axis=1)])
 
 
 def is_shown_often(series: Series, span: tuple[float, float]) -> bool:
@@ -320,24 +293,3 @@ def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt:
             factors.append(float(felt[k]))
         made[k] = chance_of_any(float(np.prod(factors)), len(factors), len(asked))
     return made
-
-
-def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
-    """True if related signals go on moving in an interval of time."""
-    if name == "speed":
-        partner = samples["accel"]
-    else:
-        known = samples.get("yaw_rate") or samples.get("gyro")
-        if known is None:
-            return False
-        partner = known
-    table = partner.values.reshape(len(partner.t), -1)
-    bins = np.floor(partner.t).astype(int)
-    inside = (partner.t >= span[0]) & (partner.t <= span[1])
-    seconds = np.array([np.bincount(bins - bins[0], c) for c in table.T]).T
-    count = np.maximum(np.bincount(bins - bins[0]), 1)[:, None]
-    means = seconds / count
-    here = np.unique(bins[inside] - bins[0])
-    if len(here) < 4:
-        return False
-    return bool(np.any(np.std(means[here], axis=0) > PARTNER_SHARE * np.std(means, axis=0)))
