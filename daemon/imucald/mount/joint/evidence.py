@@ -51,13 +51,11 @@ from imucald.mount.joint.moves import (
 )
 from imucald.mount.joint.response import SEGMENTS, Responses
 from imucald.mount.joint.state import (
-    CROSS,
     CROWN,
     EPS,
     IN_BENDS,
     LAG,
     NO_TURN,
-    OFF,
     PHI,
     TURN,
     UNKNOWNS,
@@ -69,9 +67,11 @@ from imucald.mount.joint.state import (
     entry,
     level_row,
     own_matrices,
+    own_terms,
     rate_entry,
     sent_deviations,
     sent_variance,
+    without_gains,
     zero_row,
 )
 from imucald.mount.joint.sudden_changes import SuddenChange
@@ -333,13 +333,15 @@ class Solution(NamedTuple):
         """True if the gains of both matrices in all directions are possible for a sensor."""
         return are_of_a_sensor(self.force, self.rate)
 
+    @property
+    def bias(self) -> Array:
+        """Zero error of the force (3,) in sensor axes [m/s^2]."""
+        return inverse(self.force) @ self.zero
+
     def sensor(self, priors: Priors) -> KnownSensor:
         """Return the part of the solution that belongs to the sensor itself."""
-        mixed, tilted = (self.housing @ np.linalg.inv(m) for m in (self.force, self.rate))
-        terms = np.zeros(UNKNOWNS)
-        terms[CROSS] = [mixed[place] for place in OFF]
-        terms[ZERO] = (mixed @ self.zero)[:2] / GRAVITY
-        terms[EPS] = *tilted[:2, 2], self.turn
+        terms = own_terms(self.housing, self.force, self.rate, self.zero)
+        terms[EPS][2] = self.turn
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
     def sent(self, turned: Array = NO_TURN, zero: Array = NO_ZERO) -> SentDeviations:
@@ -468,9 +470,7 @@ class Evidence:
     @property
     def bias(self) -> Array:
         """Present estimate of the accelerometer's zero error (3,) in sensor axes [m/s^2]."""
-        if self.solution is None:
-            return NO_ZERO
-        return inverse(self.solution.force) @ self.solution.zero
+        return NO_ZERO if self.solution is None else self.solution.bias
 
     @property
     def blocks(self) -> int:
@@ -735,7 +735,6 @@ class Evidence:
 
     def start_from(self, R_vehicle_from_sensor: Matrix3) -> None:
         """Use a rotation (3, 3) as the working axes of both sensors."""
-        self._taken[:] = 0.0
         self._rotation = R_vehicle_from_sensor
         self._rework(R_vehicle_from_sensor, R_vehicle_from_sensor.copy(), np.zeros(3))
 
@@ -793,6 +792,7 @@ class Evidence:
 
     def _rework(self, force: Matrix3, rate: Matrix3, zero: Array) -> None:
         self._axes, self.rotation = (force, rate, zero), orthonormalised(force)
+        self._taken = own_terms(self._rotation, force, rate, zero)
         self._reset_windows()
         self._reset_drift()
         self._extend()
@@ -881,7 +881,6 @@ class Evidence:
         W, V, zero = self._axes
         round_up = np.diag([-1.0, -1.0, 1.0])
         self._rotation = round_up @ self._rotation
-        self._taken[:] = 0.0
         self._rework(round_up @ W, round_up @ V, round_up @ zero)
 
     def _look_for_delay(self) -> None:
@@ -1159,11 +1158,13 @@ class Evidence:
         shift = np.concatenate([theta[ZERO] * GRAVITY, [0.0]])
         moved = float(max(np.abs(E - np.eye(3)).max(), np.abs(C - np.eye(3)).max()))
         turn = float(theta[EPS][2])  # of the gyroscope about z: in no matrix
-        if moved >= MOST_LEFT:
-            self._taken[3:13] += theta[3:13]
+        housing = turned.T @ self._rotation
+        # Cross-axis terms in turned axes are partly gains, and no measurement shows a gain.
+        force, rate, zero = without_gains(
+            housing, solved(E, W), solved(C, V), solved(E, zero + shift)
+        )
         return Solution(
-            solved(E, W), solved(C, V), solved(E, zero + shift),
-            covariance, self.delay, moved, turned.T @ self._rotation, turn, same, against,
+            force, rate, zero, covariance, self.delay, moved, housing, turn, same, against,
             sent_variance(covariance),
         )  # fmt: skip
 
