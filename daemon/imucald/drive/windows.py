@@ -116,6 +116,14 @@ def _slope_of_slope(x: Array) -> Array:
     return made.ravel()
 
 
+def mean_by_power(values: Array, window: Array) -> Array:
+    """Return the means (...,) of values (..., WINDOW) of ticks, weighted by the power of dv/dt.
+    window: (..., WINDOW, columns).
+    """
+    power = np.square(_TAPER * window[..., NAMES.index("dv/dt")])
+    return np.asarray((power * values).sum(axis=-1) / np.maximum(power.sum(axis=-1), 1e-12))
+
+
 def spectra(window: Array, use: Flags) -> Complex:
     """Return the spectra (..., bins, columns) of windows (..., WINDOW, columns).
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
-from imucald.core.arrays import Array, Flags, inverse, median, solved
+from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.rotations import (
     Matrix3,
     levelling_rotation,
@@ -27,7 +27,7 @@ from imucald.core.samples import GRAVITY
 from imucald.drive import equations as eq
 from imucald.drive import windows as wd
 from imucald.drive.roads import SLOPE_M, mean_slopes, slope_way, without_bend
-from imucald.drive.speed_knots import known_times, means_between
+from imucald.drive.speed_knots import known_rate, known_times, means_between
 from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
 from imucald.drive.vertical import CarriedVertical
@@ -120,12 +120,8 @@ DELAY_STEP = 0.02
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, DELAY_STEP)
 REACH = 4.0
 """Largest distance of the delay from the mean of its prior, in deviations of the prior."""
-FOLLOWS = 0.8
-"""Smallest gain of the force on dv/dt in a band that is used, as a share of the median gain of the
-three slowest bands.
-"""
-CERTAIN = 2.0
-"""A band is not used if its gain is smaller than this limit by so many standard errors."""
+LEAST_BANDS = 3
+"""Smallest number of frequency bands that are used."""
 USUAL_NOISE: Final = np.array(
     [
         [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
@@ -662,9 +658,13 @@ class Evidence:
         moving = (in_use & (np.abs(at) > DRIVING_SPEED)).sum(axis=1)
         good = (used >= LEAST_USED * wd.WINDOW) & (moving >= LEAST_MOVING * used)
         if good.any():
-            x = means_between(x, known_times(knots, v, self._blocks[stop - 1].least_speed), use)
+            known = known_times(knots, v, self._blocks[stop - 1].least_speed)
+            x = means_between(x, known, use)
+            rate = wd.mean_by_power(
+                _by_window(known_rate(known, len(x)))[good], _by_window(x)[good]
+            )
             ends = np.arange(stop - len(good), stop)[good]
-            self._sums.add_spectra(wd.spectra(_by_window(x)[good], in_use[good]), ends)
+            self._sums.add_spectra(wd.spectra(_by_window(x)[good], in_use[good]), ends, rate)
 
     def _eliminated(
         self, first: int, stop: int, use: Flags
@@ -885,22 +885,15 @@ class Evidence:
 
     def _look_for_delay(self) -> None:
         """Search the delay of the speed for which the force fits dv/dt best, before `_refine_delay`
-        can compute it. Also find the frequency bands in which the force follows dv/dt.
+        can compute it. Also find the frequency bands in which dv/dt is known.
         """
-        cross, power = self._sums.weigh_spectra()
-        power = np.maximum(power, 1e-12)
+        cross = self._sums.weigh_spectra()
         grid = DELAYS - self.delay
         noise = self._sums.force.noise[0]
         fit = (np.exp(-1j * np.outer(grid, wd.OMEGA)) @ (cross / noise[wd.BAND])).real
         fit[np.abs(DELAYS - self._late.mean) > REACH * self._late.std] = -math.inf
         best = float(grid[np.argmax(fit)])
-        answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
-        in_band = np.asarray(np.bincount(wd.BAND, power), dtype=float)
-        gain = np.bincount(wd.BAND, answer) / in_band
-        error = np.sqrt(0.5 * wd.OVERLAP * noise / in_band)
-        follows = gain + CERTAIN * error >= FOLLOWS * median(gain[:3])
-        until = max(int(np.argmax(np.r_[~follows, True])), 3)
-        self._bands = np.arange(wd.BANDS) < until
+        self._bands = np.arange(wd.BANDS) < max(self._sums.bands_with_speed, LEAST_BANDS)
         limit = MOST_LATE if self.solution is None else FAR
         if abs(best) > limit and self._axes is not None:
             self.delay += best
