@@ -659,6 +659,8 @@ class JointEstimator:
         if abs(size) <= ALERT_DEVIATIONS * std:
             return
         self._stepped, self._before_step, self._level = np.zeros(3), None, None
+        self._checks.forget_rotation()
+        self._signals.offsets.doubt_gyro()
         good = _good_mount_of(before)
         found = SuddenTurn(YAW, size, size / std, self._joint.blocks, turn)
         self._changes.note_change(found, self._signals.blocks, std, good)

@@ -137,11 +137,20 @@ therefore not used to judge results.
 """
 USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
 """Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
+SQUAT = 0.006
+"""Prior standard deviation of the response of the vertical force to d(v dv/dt)/dt [s^2/m].
+
+A body pitches by k dv/dt, and k is 2 to 3.5 deg/g, up to 0.006. Two parts of the force along z
+follow: -k (dv/dt)^2, because dv/dt is no longer along x, and -k v d2v/dt2, because the pitch rate
+is no longer that of the road, and -v q has been subtracted. Their sum is -k d(v dv/dt)/dt.
+"""
+NONE = 1e-5
+"""Prior standard deviation of a response that does not exist."""
 SPREAD: Final = np.array(
-    [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
-        [0.1, 0.15, LAG[0], 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0]],
-        [0.1, 0.05, LAG[1], 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1]],
-        [0.5, 0.05, LAG[2], 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2]],
+    [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2, d(va)
+        [0.1, 0.15, LAG[0], 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0], NONE],
+        [0.1, 0.05, LAG[1], 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1], NONE],
+        [0.5, 0.05, LAG[2], 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2], SQUAT],
     ]
 )
 """Prior standard deviations of the nuisance coefficients for each axis of the force.
@@ -1172,8 +1181,10 @@ def force_fits(signals: OtherSignals) -> Fits:
         spread[:, _ROLLING] = ROLLING_SPREAD
     if not signals.speed:
         slopes = np.zeros(wd.BANDS) if signals.gyro else SLOPE_NOISE[1]
-        columns, noise = [tuple(UNKNOWN), columns[2]], np.array([UNKNOWN_NOISE + slopes, noise[2]])
-        spread = np.array([UNKNOWN_SPREAD, spread[2]])
+        few = len(UNKNOWN_SPREAD)
+        columns = [tuple(UNKNOWN), columns[2][: 1 + few]]
+        noise = np.array([UNKNOWN_NOISE + slopes, noise[2]])
+        spread = np.array([UNKNOWN_SPREAD, spread[2, :few]])
         if signals.steered:
             spread[0, -1] = STEERED_GAIN
     return Fits(tuple(columns), noise, spread, keep=2)
