@@ -32,11 +32,14 @@ def blocks(
     seed: int = 0,
     lost: float = 0.0,
     bends: float = 1.0,
+    squat: float = 0.0,
+    brakes: float = 0.0,
 ) -> list[Block]:
     """Blocks of a car that speeds up, brakes and turns; noise of 0.05 m/s^2 on the force.
 
     late_s: the speed shows what it was so long ago. lost: share of ticks that are rubbish. bends:
-    size of the turns.
+    size of the turns. squat: by how much the body pitches, nose up, for each unit of dv/dt
+    [rad s^2/m]. brakes: size of braking that is harder and shorter than the launches [m/s^2].
     """
     rng = np.random.default_rng(seed)
     n = int(minutes * 600) // 64 * 64
@@ -44,18 +47,28 @@ def blocks(
 
     def speed(at: Array) -> Array:
         return np.asarray(
-            12.0 + 5.0 * np.sin(0.31 * at) + 2.0 * np.sin(0.83 * at + 1.0) + np.sin(1.7 * at)
+            12.0
+            + 5.0 * np.sin(0.31 * at)
+            + 2.0 * np.sin(0.83 * at + 1.0)
+            + np.sin(1.7 * at)
+            - brakes * (np.sin(0.4 * at) / 0.4 + 0.5 * np.sin(0.8 * at) / 0.8)
         )
 
     def accel(at: Array) -> Array:
         return np.asarray(
-            1.55 * np.cos(0.31 * at) + 1.66 * np.cos(0.83 * at + 1.0) + 1.7 * np.cos(1.7 * at)
+            1.55 * np.cos(0.31 * at)
+            + 1.66 * np.cos(0.83 * at + 1.0)
+            + 1.7 * np.cos(1.7 * at)
+            - brakes * (np.cos(0.4 * at) + 0.5 * np.cos(0.8 * at))
         )
 
     r = 0.12 * np.sin(0.23 * t) + 0.1 * np.sin(0.61 * t + 2.0) + 0.05 * np.sin(1.3 * t)
     r *= bends
-    force = np.column_stack([accel(t), speed(t) * r, np.full(n, G)])
-    rate = np.column_stack([0.0 * r, 0.0 * r, r])
+    a, pitch = accel(t), squat * accel(t)
+    pitching = squat * (accel(t + 1e-4) - accel(t - 1e-4)) / 2e-4
+    c, s = np.cos(pitch), np.sin(pitch)
+    force = np.column_stack([c * a + s * G, speed(t) * r, c * G - s * a])
+    rate = np.column_stack([s * r, -pitching, c * r])
     f = force @ ROTATION @ sensor.accel.T + sensor.zero + rng.normal(0.0, 0.05, (n, 3))
     w = rate @ ROTATION @ sensor.gyro.T + rng.normal(0.0, 0.002, (n, 3))
     use = rng.random(n) >= lost

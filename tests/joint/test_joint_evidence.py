@@ -245,7 +245,7 @@ def test_an_hour_keeps_a_few_megabytes_and_no_more_after_that() -> None:
         if k % 8 == 0:
             evidence.solve_when_due()
             sizes.append(len(pickle.dumps(evidence)))
-    assert max(sizes) < 9.4e6  # 2.6 of them are the ticks
+    assert max(sizes) < 1e7  # 2.6 of them are the ticks
     assert max(sizes[80:]) <= 1.1 * max(sizes[:80])
 
 
@@ -303,3 +303,16 @@ def test_slopes_that_go_on_widen_the_deviation_of_the_level() -> None:
 def test_the_mean_slope_is_that_of_the_metres() -> None:
     mean, _ = mean_slopes(slopes(4), WHOLE, 0.02)
     np.testing.assert_allclose(mean[0], slopes(4)[:, :2].sum(axis=0) / 16_000.0)
+
+
+@pytest.mark.parametrize("squat", [0.0, 0.006])
+def test_a_body_that_pitches_when_it_brakes_puts_no_motion_into_the_vertical_force(
+    squat: float,
+) -> None:
+    """3.5 deg/g, and braking that is harder than the launches: without the term, 0.4 deg."""
+    evidence = Evidence(Priors(crown=(0.0, 0.002), slope=0.002))
+    for one in blocks(6.0, Sensor(), squat=squat, brakes=2.0):
+        evidence.add_block(one)
+    found = evidence.solve()
+    assert found is not None
+    assert abs(np.degrees(cross_talk(found.force, np.eye(3))[2, 0])) < 0.2

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from imucald.core.samples import Series
+from imucald.drive import windows as wd
 from imucald.drive.speed_knots import known_times, means_between
 from imucald.motion.coarse_speed import passages
-from imucald.mount.estimator import _block
-from imucald.mount.joint.evidence import Block, Evidence, Solution
+from imucald.motion.column_ticks import ticks_from_samples
+from imucald.mount.estimator import JointEstimator, _block
+from imucald.mount.joint.evidence import TURN_FITS, Block, Evidence, Solution, force_fits
 from imucald.mount.joint.state import OtherSignals, Priors
+from imucald.mount.joint.sums import WindowSums
+from imucald.simulation import random_model, simulate
+from imucald.simulation.imu import gain_matrix
 from joint.planar_drive import Sensor, blocks, cross_talk
+from mount_settings import joint_settings
 from signal_block import block
 
 Array = NDArray[np.float64]
@@ -107,3 +116,33 @@ def test_the_knots_of_a_signal_block_are_those_of_its_speed() -> None:
     assert made.knots.tolist() == [3.5, 40.25]
     assert made.least_speed == 1.4
     assert len(_block(block(), OtherSignals()).knots) == 64
+
+
+@pytest.mark.parametrize(("apart", "bands"), [(1, 8), (5, 8), (10, 6), (20, 4), (40, 3)])
+def test_bands_above_half_the_rate_of_the_known_speeds_are_left_out(apart: int, bands: int) -> None:
+    sums = WindowSums(force_fits(OtherSignals()), TURN_FITS)
+    shape = 4, len(wd.BINS), len(wd.NAMES)
+    spectra = np.random.default_rng(5).normal(size=shape) + 0j
+    sums.add_spectra(spectra, np.arange(4), np.full(4, 1.0 / apart))
+    assert sums.bands_with_speed == bands
+
+
+@pytest.mark.slow
+def test_what_the_rounding_of_a_seldom_speed_turns_is_within_the_deviation() -> None:
+    """Whole km/h every two seconds: the same drive with ten offsets of the rounding."""
+    model = random_model(1820002)
+    made = simulate(model, 1820002, 8.0)
+    samples = {name: one for name, one in made.samples.items() if name != "wheel_speeds"}
+    response = gain_matrix(model.accel) @ made.truth.R_vehicle_from_sensor().T
+    fine, t = samples["speed"], np.arange(0.3, 480.0, 2.0)
+    known = 3.6 * np.interp(t - 0.3, fine.t, fine.values)
+    ratios = []
+    for offset in np.arange(0.0, 1.0, 0.1):
+        samples["speed"] = Series(t, (np.floor(known + offset) + 0.5 - offset) / 3.6 * (known > 1))
+        estimator = JointEstimator(joint_settings())
+        for row in ticks_from_samples(samples, 0, 4800).tolist():
+            estimator.step(row)
+        solution = estimator.solution
+        assert solution is not None
+        ratios.append((solution.force @ response)[0, 1] / solution.sent().xy)
+    assert math.sqrt(np.mean(np.square(ratios))) < 1.6

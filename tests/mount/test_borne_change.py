@@ -14,9 +14,9 @@ from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.explanation import change_details
+from imucald.mount.hand_moves import HandMove
 from imucald.mount.hysteresis import BAD
 from imucald.mount.joint.moves import Move
-from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import GoodMount, MountChanges, SuddenTurn, blocks_since
 from imucald.mount.mount_words import change_words, is_move
 from imucald.mount.signal_blocks import BLOCK_S
@@ -29,7 +29,7 @@ PITCH, YAW = 1, 2
 
 
 def changes() -> MountChanges:
-    return MountChanges(joint_settings())
+    return MountChanges()
 
 
 def shift(axis: int, degrees: float) -> Move:
@@ -48,7 +48,7 @@ def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, st
     "change",
     [
         SuddenTurn(PITCH, 3.0 * DEG, 9.0, 5, np.array([0.0, 3.0 * DEG, 0.0])),
-        LargeChange(PITCH, 3.0 * DEG, 9.0, 5),
+        HandMove(PITCH, 3.0 * DEG, 9.0, blocks=5),
     ],
 )
 def test_what_comes_after_a_change_leaves_out_the_block_that_may_hold_it(change):

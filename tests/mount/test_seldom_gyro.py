@@ -12,7 +12,7 @@ from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.gyro_walk import sampling_walk
-from imucald.mount.large_change import FORCE, TurnedAlone
+from imucald.mount.hand_moves import FORCE, TurnedAlone
 from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
 from mount_settings import joint_settings
 from signal_block import block

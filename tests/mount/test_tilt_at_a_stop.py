@@ -7,18 +7,17 @@ import pytest
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
-from imucald.mount.large_change import LargeChange, LargeChangeDetector
+from imucald.mount.hand_moves import HandMove, HandMoves
 from imucald.mount.mount_changes import _may_be_zero
 from imucald.mount.signal_blocks import BLOCK_S, BLOCK_TICKS
-from mount_settings import joint_settings
 from signal_block import block
 
 PULSE = 5
 
 
-def found(degrees: float, is_felt: bool) -> LargeChange | None:
+def found(degrees: float, is_felt: bool) -> HandMove | None:
     """What a stop shows in whose fourth block the sensor rolls within half a second."""
-    rng, detector = np.random.default_rng(3), LargeChangeDetector(joint_settings())
+    rng, detector = np.random.default_rng(3), HandMoves()
     turn = np.array([np.radians(degrees), 0.0, 0.0])
     for k in range(8):
         R = rotation_from_vector(turn) if k >= 3 else np.eye(3)

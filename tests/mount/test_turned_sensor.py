@@ -1,4 +1,4 @@
-"""A sensor turned about the vertical: what one block says of it, and what tells it alone."""
+"""A sensor that is turned or tilted by hand: alone while driving, and while the vehicle stands."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.block_sums import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
-from imucald.mount.large_change import (
+from imucald.mount.hand_moves import (
     FORCE,
     LATE_TICKS,
     YAW_RATE,
-    LargeChange,
-    LargeChangeDetector,
+    HandMove,
+    HandMoves,
     TurnedAlone,
 )
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker
@@ -28,87 +27,6 @@ from signal_block import block
 T = np.arange(BLOCK_TICKS) * 0.1
 ALL = np.ones(BLOCK_TICKS, dtype=bool)
 NONE = np.zeros(BLOCK_TICKS)
-
-
-def braking(turned: float = 0.0, noise: float = 0.0, delay: float = 0.0) -> BlockMotion:
-    """A block of braking into a bend at a sensor that is turned by an angle [rad]."""
-
-    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -2.0 * np.sin(1.5 * t) * (t < 4.0), 2.0 * np.exp(-((t - 4.5) ** 2))
-
-    accel, turn = at(T)
-    c, s = math.cos(turned), math.sin(turned)
-    force = np.stack([c * accel + s * turn, -s * accel + c * turn, NONE], axis=1)
-    force += noise * np.random.default_rng(1).standard_normal(force.shape)
-    return BlockMotion(force, at(T - delay)[0], turn, NONE, delay, 0.0)
-
-
-@pytest.mark.parametrize("degrees", [-100.0, -10.0, 0.0, 4.0, 45.0])
-def test_a_block_shows_by_how_much_the_sensor_is_turned(degrees: float) -> None:
-    angle, information = block_yaw(braking(math.radians(degrees), 0.05), ALL)
-    assert math.degrees(angle) == pytest.approx(degrees, abs=1.5)
-    assert FLOOR < information**-0.5 < math.radians(2.0)
-
-
-def test_a_late_speed_turns_nothing() -> None:
-    angle, _ = block_yaw(braking(delay=0.2), ALL)
-    assert abs(math.degrees(angle)) < 0.5
-    late = with_delay(braking(delay=0.2), 0.0)
-    assert abs(math.degrees(block_yaw(late, ALL)[0])) > 2.0, "nothing is tested otherwise"
-
-
-def with_delay(m: BlockMotion, delay: float) -> BlockMotion:
-    return BlockMotion(m.force, m.accel, m.turn, m.turn_rate, delay, m.delay_std)
-
-
-def test_a_gust_makes_a_block_unsure() -> None:
-    sure, gust = braking(noise=0.02), braking(noise=0.02)
-    gust.force[20:40, 1] += 1.5
-    assert block_yaw(gust, ALL)[1] < 0.2 * block_yaw(sure, ALL)[1]
-
-
-@pytest.mark.parametrize("every", [10, 20])
-def test_a_speed_of_one_or_two_seconds_turns_no_block_beyond_its_deviation(every: int) -> None:
-    """In whole km/h; dv/dt is known as a mean between two samples only."""
-    rng = np.random.default_rng(3)
-    off = []
-    for _ in range(300):
-        waves = rng.normal(0.0, 1.0, 4), rng.uniform(0.3, 3.0, 4), rng.uniform(0.0, 6.3, 4)
-        a, w, phase = (x[:, None] for x in waves)
-        speed = 15.0 + (a / w * np.sin(w * T + phase)).sum(axis=0)
-        accel = (a * np.cos(w * T + phase)).sum(axis=0)
-        knots = np.arange(rng.integers(every), BLOCK_TICKS, every) + 0.5
-        known = np.interp(knots - 0.5, np.arange(BLOCK_TICKS), np.rint(3.6 * speed) / 3.6)
-        coarse = np.gradient(np.interp(np.arange(BLOCK_TICKS), knots - 0.5, known), 0.1)
-        turn = 1.5 * np.sin(0.5 * T + rng.uniform(0.0, 6.3))
-        force = np.stack([accel, turn, NONE], axis=1) + rng.normal(0.0, 0.06, (BLOCK_TICKS, 3))
-        angle, information = block_yaw(BlockMotion(force, coarse, turn, NONE, 0.0, 0.0, knots), ALL)
-        if information:
-            off.append(angle * math.sqrt(information))
-    assert len(off) > 100
-    assert np.abs(off).max() < 4.0
-    assert np.std(off) > 0.2
-
-
-def test_what_a_lever_arm_turns_is_within_the_deviation() -> None:
-    """A tight bend, the sensor a metre ahead of and beside the axle: no noise, the arm alone."""
-    rate = 0.5 * np.exp(-((T - 3.0) ** 2))
-    speed = 4.0 - 0.15 * T
-    swing = np.gradient(rate, 0.1)
-    force = np.stack([-0.15 - rate**2 - swing, speed * rate + swing - rate**2, NONE], axis=1)
-    m = BlockMotion(force, np.full(BLOCK_TICKS, -0.15), speed * rate, rate, 0.0, 0.0)
-    angle, information = block_yaw(m, ALL)
-    assert ARM > 1.0
-    assert math.degrees(abs(angle)) > 3.0, "nothing is tested otherwise"
-    assert abs(angle) < 2.0 * information**-0.5
-
-
-def test_a_force_that_does_not_follow_says_nothing() -> None:
-    m = braking()
-    still = BlockMotion(0.0 * m.force + 0.01, m.accel, m.turn, m.turn_rate, 0.0, 0.0)
-    assert block_yaw(still, ALL) == (0.0, 0.0)
-    rest = BlockMotion(m.force, NONE, NONE, NONE, 0.0, 0.0)
-    assert block_yaw(rest, ALL) == (0.0, 0.0)
 
 
 # turned alone ----------------------------------------------------------------------------------
@@ -169,9 +87,9 @@ def standing(
     yaw_rate_deg: float = 0.0,
     least_speed: float = 0.0,
     noise: float = 0.0,
-) -> list[LargeChange]:
+) -> list[HandMove]:
     """What is found in blocks of ticks (N,) with a sensor that pitches and a force ahead."""
-    found, detector = [], LargeChangeDetector(joint_settings())
+    found, detector = [], HandMoves()
     tilt = np.radians(tilt_deg)
     down = GRAVITY * np.sin(tilt) + ahead
     force = np.stack([down, 0.0 * down, GRAVITY * np.cos(tilt)], axis=1)

@@ -50,6 +50,13 @@ def known_times(knots: Array, speed: Array, least: float) -> Array:
     return knots[~hidden]
 
 
+def known_rate(knots: Array, n: int) -> Array:
+    """Return the number of knots (K,) [ticks of 0.1 s] per tick, around each of n ticks (n,)."""
+    ends = distinct(np.concatenate([[0.0, float(n)], knots[(knots > 0.0) & (knots < n)]]))
+    gaps = np.maximum(np.diff(ends), 1.0)
+    return np.asarray(1.0 / gaps[np.searchsorted(ends, np.arange(n) + 0.5) - 1])
+
+
 def means_between(x: Array, knots: Array, use: Flags) -> Array:
     """Replace columns x (N, w) of ticks by their means between knots (K,) [ticks of 0.1 s].
 

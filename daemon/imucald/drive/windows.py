@@ -48,7 +48,7 @@ OMEGA = 2.0 * np.pi * BINS / (WINDOW * TICK_S)
 MAIN = ("dv/dt", "v r")
 EXTRA = (
     "-v q", "jerk", "d(v r)/dt", "dp/dt", "dq/dt", "dr/dt", "r^2", "v", "tilted x", "tilted y",
-    "dv/dt v r", "(v r)^2",
+    "dv/dt v r", "(v r)^2", "d(v dv/dt)/dt",
 )  # fmt: skip
 TURNING = ("p", "q", "r", "v r^2", "d2(v r)/dt2")
 TURNED = ("turned x", "turned y")
@@ -86,7 +86,8 @@ def columns(
         [
             y, accel, lateral, -bend, _slope(accel), _slope(lateral), _slope(p), _slope(q),
             _slope(r), r * r, speed, GRAVITY * tilts[:, 0, 0], GRAVITY * tilts[:, 0, 1],
-            accel * lateral, lateral * lateral, p, q, r, lateral * r, _slope_of_slope(lateral),
+            accel * lateral, lateral * lateral, _slope(speed * accel), p, q, r, lateral * r,
+            _slope_of_slope(lateral),
             GRAVITY * tilts[:, 2, 0], GRAVITY * tilts[:, 2, 1],
         ]
     )  # fmt: skip
@@ -114,6 +115,14 @@ def _slope_of_slope(x: Array) -> Array:
     made[:, :APART], made[:, -APART:] = made[:, APART, None], made[:, -APART - 1, None]
     made /= (APART * TICK_S) ** 2
     return made.ravel()
+
+
+def mean_by_power(values: Array, window: Array) -> Array:
+    """Return the means (...,) of values (..., WINDOW) of ticks, weighted by the power of dv/dt.
+    window: (..., WINDOW, columns).
+    """
+    power = np.square(_TAPER * window[..., NAMES.index("dv/dt")])
+    return np.asarray((power * values).sum(axis=-1) / np.maximum(power.sum(axis=-1), 1e-12))
 
 
 def spectra(window: Array, use: Flags) -> Complex:

@@ -107,6 +107,10 @@ class Alternatives:
         self._is_up_stated = self._is_forward_stated = False
         self._forget_ways()
 
+    def forget_rotation(self) -> None:
+        """Forget the evidence about the gyroscope's axes: it was computed with a wrong rotation."""
+        self._gyro.forget()
+
     def take_mount(self, R: Matrix3) -> None:
         """Use the mount that a person states."""
         self._stated.take_mount(R)

@@ -16,8 +16,6 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, levelling_rotation, rotation_from_vector
 from imucald.core.samples import GRAVITY
-from imucald.motion.ticks import TICK_S
-from imucald.mount.block_sums import BlockMotion
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.gravity_observer import GravityObserver
@@ -129,13 +127,6 @@ class CarriedForce:
         if R is not None and not p.has_speed:
             return self.lone @ R[0] * use, self.lone @ R[1] * use
         return p.accel * use, turn * use
-
-    def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
-        """Return the motion and the force of the block that was taken last, in the axes of R."""
-        turn = self.gains[1] * p.speed * self.turn_rate
-        force, ahead = self.lone @ R.T, self.gains[0] * p.accel
-        knots = None if p.speed_knots is None else p.speed_knots - self.delay.value / TICK_S
-        return BlockMotion(force, ahead, turn, self.turn_rate, *self.delay[:2], knots)
 
     def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
         if up is not None and np.count_nonzero(p.ok_rate) > 0.5 * len(p.ok_rate):

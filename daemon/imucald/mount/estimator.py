@@ -33,7 +33,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from imucald.core.arrays import Array, inverse
-from imucald.core.rotations import Matrix3, orthonormalised, rotation_from_vector
+from imucald.core.rotations import (
+    Matrix3,
+    orthonormalised,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from imucald.core.samples import GRAVITY
 from imucald.drive.unknown_speed import Steered
 from imucald.motion.ticks import TickRow
@@ -53,16 +58,17 @@ from imucald.mount.explanation import (
     mount_troubles,
     waiting_reasons,
 )
+from imucald.mount.hand_moves import YAW, HandMove
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.joint.drift import LOG_ONSETS, NAMED, Drift
 from imucald.mount.joint.drift import NONE as NO_DRIFT
-from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
+from imucald.mount.joint.evidence import MIDDLES, NO_ZERO, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
 from imucald.mount.joint.state import PHI, OtherSignals, Priors
 from imucald.mount.joint.sudden_changes import TURNED_STD
-from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import (
+    ALERT_DEVIATIONS,
     ALERT_LIMIT,
     GoodMount,
     MountChange,
@@ -138,9 +144,9 @@ class JointEstimator:
         self._steering = SteeringOffsetEstimator()
         self._carried, self._driven = CarriedForce(self._settings), Manoeuvres()
         self._checks = SignalChecks(self._settings)
-        self._changes = MountChanges(self._settings)
+        self._changes = MountChanges()
         self._stepped = np.zeros(3)  # change of the zero in this drive, sensor axes [m/s^2]
-        self._bias_before = np.zeros(3)  # zero before any change
+        self._before_step: Solution | None = None  # solution before the zero changed
         self._level: LevelChange | None = None
         self._is_gravity_open = False  # something has changed, and it is not known what
         self._instead = -math.inf  # log odds of what else may be in place of a drift
@@ -336,7 +342,7 @@ class JointEstimator:
             self._begin_without_rotation([p])
         self._solve_with(p)
         self._follow_creep()
-        if not self._look_for_large_change(p, turned, is_watched):
+        if not self._was_moved_by_hand(p, turned):
             change: MountChange | None = self._sudden_change()
             if change is None and not (self._is_gravity_open or self._checks.is_motion_accused):
                 change = self._small_change()
@@ -444,13 +450,10 @@ class JointEstimator:
         s = self._settings
         return self._steering.fitted(s.crown, 1.5 * s.vehicle.crown_std)
 
-    def _look_for_large_change(
-        self, p: SignalBlock, turned: LargeChange | None, is_watched: bool
-    ) -> bool:
-        """Look for a rotation by several degrees, and for gravity far from the vertical.
+    def _was_moved_by_hand(self, p: SignalBlock, turned: HandMove | None) -> bool:
+        """Handle a rotation that this block alone shows, and gravity far from the vertical.
 
-        turned: result of the test of this block alone. is_watched: a filter tests for sudden
-        changes. If there was a change, handle the change and return True.
+        turned: result of the test of this block. Returns True if there was a change.
         """
         carried, changes = self._carried, self._changes
         if carried.R is None:
@@ -460,16 +463,14 @@ class JointEstimator:
             self._off_vertical += 1
             self._begin_without_rotation([p])
             return True
-        changes.take_block(p, carried, self._signals)
-        if self.state not in GOOD:  # nothing is served as good; the fit is young
-            if turned is not None:
-                self._begin_without_rotation()
-                self._served.has_moved = self._served.was_good
-            return turned is not None
-        found = changes.large(carried, is_watched) if turned is None else turned
-        if found is not None:
-            self._take_change(found)
-        return found is not None
+        if turned is None:
+            return False
+        if self.state in GOOD:
+            self._take_change(turned)
+        else:  # nothing is served as good; the fit is young
+            self._begin_without_rotation()
+            self._served.has_moved = self._served.was_good
+        return True
 
     @property
     def _watched(self) -> Evidence | None:
@@ -507,7 +508,7 @@ class JointEstimator:
             return SuddenTurn.from_change(found)
         else:
             if not self._stepped.any():
-                self._bias_before = self._joint.bias
+                self._before_step = self.solution
             self._stepped += inverse(evidence.watch_axes) @ found.size
             self._level = LevelChange(found.level, found.level + float(found.size[2]))
         self._lately_known.clear()
@@ -537,8 +538,7 @@ class JointEstimator:
         changes, block, good = self._changes, self._signals.blocks, self._good_mount()
         before = self._solution_until(self._began(after, since))
         if good is not None and before is not None:  # what is served may have followed the move
-            own = tuple(np.sqrt(before.covariance[PHI, PHI].diagonal()).tolist())
-            good = GoodMount(Correction.turning(before.housing).rotation, own)
+            good = _good_mount_of(before)
         std = self._misleading()[found.axis]
         changes.end_of_mounting(good)
         if self.state in GOOD and changes.is_bearable(found, std):
@@ -547,7 +547,7 @@ class JointEstimator:
             return
         turn = found.turn if isinstance(found, SuddenTurn) else None
         is_far = turn is not None and float(np.linalg.norm(turn)) > TURNED_STD  # beyond first order
-        if isinstance(found, LargeChange) or is_far:  # nobody knows about the other axes
+        if isinstance(found, HandMove) or is_far:  # nobody knows about the other axes
             self._begin_afresh(after)
         else:
             self._served.has_moved = True
@@ -634,6 +634,7 @@ class JointEstimator:
         if self._fits_no_sensor and not checks.standing:  # then the signals contradict each other
             checks.accuse(StandingFault.FORCE_TURNS)
         self._hold_against_orientation()
+        self._look_for_turned_step()
         for fault in self._stepped_zeros():
             checks.accuse_lasting(fault, block)
         self._known = self._knowledge(p)
@@ -641,6 +642,28 @@ class JointEstimator:
         is_doubted = bool(checks.standing) or self._is_gravity_open
         self._served.judge(self._known, acceptance, is_doubted, self._found_correction)
         self._progress.note_knowledge(block * BLOCK_S, self._known, self._settings, acceptance)
+
+    def _look_for_turned_step(self) -> None:
+        """Take a step of the zero error for a turn of the sensor, if the responses to motion after
+        the step are turned about the vertical.
+
+        A step of the zero error does not turn the responses. The filter that found the step is
+        linear, so it cannot describe a turn by more than some degrees.
+        """
+        before, now = self._before_step, self.solution
+        if before is None or now is None or not self._is_usable(now):
+            return
+        turn = vector_from_rotation(now.housing @ before.housing.T)
+        std = math.sqrt(float((now.covariance + before.covariance)[PHI, PHI][YAW, YAW]))
+        size = float(turn[YAW])
+        if abs(size) <= ALERT_DEVIATIONS * std:
+            return
+        self._stepped, self._before_step, self._level = np.zeros(3), None, None
+        self._checks.forget_rotation()
+        self._signals.offsets.doubt_gyro()
+        good = _good_mount_of(before)
+        found = SuddenTurn(YAW, size, size / std, self._joint.blocks, turn)
+        self._changes.note_change(found, self._signals.blocks, std, good)
 
     def _stepped_zeros(self) -> Iterator[StandingFault]:
         """Yield the faults of an accelerometer whose zero error has stepped and not returned, along
@@ -653,7 +676,8 @@ class JointEstimator:
             return
         x, y, z = (R @ self._stepped).tolist()
         if self._is_usable(self.solution):
-            x, y, _ = (R @ (self._joint.bias - self._bias_before)).tolist()
+            before = NO_ZERO if self._before_step is None else self._before_step.bias
+            x, y, _ = (R @ (self._joint.bias - before)).tolist()
         if abs(z) > NAMED:
             yield StandingFault.ACCEL_LEVEL
         if math.hypot(x, y) > NAMED:
@@ -840,6 +864,12 @@ def _is_solved(evidence: Evidence) -> bool:
     except np.linalg.LinAlgError:
         return False
     return True
+
+
+def _good_mount_of(solution: Solution) -> GoodMount:
+    """Return the mount of a solution."""
+    own = tuple(np.sqrt(solution.covariance[PHI, PHI].diagonal()).tolist())
+    return GoodMount(Correction.turning(solution.housing).rotation, own)
 
 
 def _as_angles(sent: SentDeviations) -> tuple[float, float, float]:

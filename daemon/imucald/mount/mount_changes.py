@@ -1,10 +1,8 @@
 """Detection of a moved sensor. All tests for a move and the changes found in this drive are here.
 
-`joint.sudden_changes` detects a sudden rotation with a filter. `large_change` detects a yaw
-rotation by several degrees in single blocks. Where the filter of `joint.sudden_changes` does not
-run, `large_change` also detects a tilt: without a gyroscope, without a speed, or before the first
-solution. `joint.moves` detects a small move after enough road was driven. `creep` detects a slow
-move.
+`hand_moves` detects a sensor that is turned by hand or by a knock. `joint.sudden_changes` detects a
+sudden rotation with a filter. `joint.moves` detects a move from the responses to motion, after
+enough road was driven. `creep` detects a slow move.
 """
 
 from __future__ import annotations
@@ -17,12 +15,10 @@ from msgspec import Struct
 
 from imucald.core.arrays import Array
 from imucald.core.rotations import Rows, vector_from_rotation
-from imucald.mount.block_sums import block_sums, driven
 from imucald.mount.carried_force import CarriedForce
-from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.hand_moves import HandMove, HandMoves
 from imucald.mount.joint.moves import Move
 from imucald.mount.joint.sudden_changes import SuddenChange
-from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 
 
@@ -48,7 +44,7 @@ class SuddenTurn(Struct, frozen=True):
         return cls(axis, size, size / std, change.blocks, change.size)
 
 
-MountChange = SuddenTurn | LargeChange | Move
+MountChange = SuddenTurn | HandMove | Move
 
 SHIFTS_ALLOWED = 1
 """Number of shifts in one drive above which the mount counts as loose."""
@@ -111,46 +107,30 @@ class MountChanges:
     rotation was found, if the movement misleads no consumer.
     """
 
-    def __init__(self, settings: EstimatorSettings) -> None:
-        self._large = LargeChangeDetector(settings)
+    def __init__(self) -> None:
+        self._hand_moves = HandMoves()
         self.history: list[TakenChange] = []
         self._open: TakenChange | None = None  # the mount after it may still become more certain
         self.borne = np.zeros(3)
 
     def at_once(
         self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker, is_watched: bool
-    ) -> LargeChange | None:
+    ) -> HandMove | None:
         """Return a rotation that this block alone shows: while standing, or from the gyroscope
         alone.
 
-        carried: has a rotation, and has already taken the block. is_watched: as in `large`.
+        carried: has a rotation, and has already taken the block. is_watched: the filter of
+        `joint.sudden_changes` runs and can distinguish a tilt from a step of a zero error.
         """
         assert carried.R is not None
-        change = self._large.while_standing(p, carried.R)
+        change = self._hand_moves.while_standing(p, carried.R)
         if is_watched and _may_be_zero(change):
             change = None
         if change is None and carried.own_gyro and not signals.without_speed:
-            motion = carried.motion(p, carried.R)
-            change = self._large.while_driving(p, carried.R, motion, "yaw_rate" in signals.seen)
+            turns = carried.turn_rate, carried.lone @ carried.R[1]
+            has_yaw_rate = "yaw_rate" in signals.seen
+            change = self._hand_moves.while_driving(p, carried.R, *turns, has_yaw_rate)
         return change
-
-    def take_block(self, p: SignalBlock, carried: CarriedForce, signals: SignalBlockMaker) -> None:
-        """Process a block, and compare it with earlier and later blocks."""
-        assert carried.R is not None
-        has = not signals.without_speed, "reverse" in signals.seen
-        use = driven(p)
-        sums = block_sums(p, carried.turn_rate, use)
-        motion = carried.motion(p, carried.R)
-        self._large.take_block(sums, use, carried.R, motion, carried.gains, *has)
-
-    def large(self, carried: CarriedForce, is_watched: bool) -> LargeChange | None:
-        """Return a rotation by several degrees within the last blocks.
-
-        is_watched: the filter of `joint.sudden_changes` runs and can distinguish a tilt from a step
-        of a zero error.
-        """
-        found = self._large.found(with_yaw=carried.own_gyro)
-        return None if is_watched and _may_be_zero(found) else found
 
     @staticmethod
     def is_bearable(found: MountChange, std: float) -> bool:
@@ -192,14 +172,13 @@ class MountChanges:
         self._open = None
 
     def skip(self) -> None:
-        """Restart the test for large changes, because there is no rotation for the comparison of
-        blocks."""
-        self._large.restart()
+        """Restart the tests, because there is no rotation."""
+        self._hand_moves.restart()
 
     def restart(self) -> None:
         """Begin another mounting. The data of the new mounting are not compared with earlier
         data."""
-        self._large.restart()
+        self._hand_moves.restart()
         self.borne[:] = 0.0
 
     def know_borne(self) -> None:
@@ -223,7 +202,7 @@ class MountChanges:
         return [one.turn(now if one is self._open else None) for one in self.history]
 
 
-def _may_be_zero(found: LargeChange | None) -> bool:
+def _may_be_zero(found: HandMove | None) -> bool:
     """True if the change may be a step of the accelerometer's zero error. The gyroscope does not
     show such a step."""
     return (

@@ -18,7 +18,6 @@ from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
 from imucald.mount.block_sums import masked_sums
 from imucald.mount.estimate import Correction
-from imucald.mount.large_change import LEAST_TICKS
 from imucald.mount.signal_blocks import SignalBlock
 
 MAX_OFF_VERTICAL = math.radians(25.0)
@@ -28,6 +27,8 @@ The steepest street has a slope of 35 % (19.3 deg, Baldwin Street). The remainin
 the error of a mount that was levelled on a slope.
 """
 
+LEAST_TICKS = 32
+"""Smallest number of good ticks in a usable block: half of all ticks."""
 STANDING_TICKS = 32
 DRIVING_TICKS = 256
 _COS = math.cos(MAX_OFF_VERTICAL)
@@ -39,7 +40,6 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     Gravity must exceed the limit both with and without the motion in the force. Hard driving, a
     wrong speed or a wrong turn rate therefore cannot exceed the limit. Without a signal that shows
     turns, a block of driving is not judged, because its bend may be arbitrarily sharp.
-    `large_change` judges such data over more blocks.
     """
     use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)
     n, *sums = masked_sums(p.force, use)

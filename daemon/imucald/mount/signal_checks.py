@@ -129,6 +129,11 @@ class SignalChecks:
         """Forget the evidence of the forces, because this evidence is about an earlier rotation."""
         self._contradictions.forget_forces()
 
+    def forget_rotation(self) -> None:
+        """Forget the evidence that was computed with a rotation that was wrong for some time."""
+        self._contradictions.forget_forces()
+        self._alternatives.forget_rotation()
+
     def restart(self) -> None:
         """Restart, because the rotation is searched again: earlier agreement no longer counts."""
         self._contradictions.forget_forces()

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
-from imucald.core.arrays import Array, Flags, inverse, median, solved
+from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.rotations import (
     Matrix3,
     levelling_rotation,
@@ -27,7 +27,7 @@ from imucald.core.samples import GRAVITY
 from imucald.drive import equations as eq
 from imucald.drive import windows as wd
 from imucald.drive.roads import SLOPE_M, mean_slopes, slope_way, without_bend
-from imucald.drive.speed_knots import known_times, means_between
+from imucald.drive.speed_knots import known_rate, known_times, means_between
 from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
 from imucald.drive.vertical import CarriedVertical
@@ -51,13 +51,11 @@ from imucald.mount.joint.moves import (
 )
 from imucald.mount.joint.response import SEGMENTS, Responses
 from imucald.mount.joint.state import (
-    CROSS,
     CROWN,
     EPS,
     IN_BENDS,
     LAG,
     NO_TURN,
-    OFF,
     PHI,
     TURN,
     UNKNOWNS,
@@ -69,9 +67,11 @@ from imucald.mount.joint.state import (
     entry,
     level_row,
     own_matrices,
+    own_terms,
     rate_entry,
     sent_deviations,
     sent_variance,
+    without_gains,
     zero_row,
 )
 from imucald.mount.joint.sudden_changes import SuddenChange
@@ -120,12 +120,8 @@ DELAY_STEP = 0.02
 DELAYS: Final = np.arange(MIN_SPEED_DELAY, MAX_SPEED_DELAY + 0.001, DELAY_STEP)
 REACH = 4.0
 """Largest distance of the delay from the mean of its prior, in deviations of the prior."""
-FOLLOWS = 0.8
-"""Smallest gain of the force on dv/dt in a band that is used, as a share of the median gain of the
-three slowest bands.
-"""
-CERTAIN = 2.0
-"""A band is not used if its gain is smaller than this limit by so many standard errors."""
+LEAST_BANDS = 3
+"""Smallest number of frequency bands that are used."""
 USUAL_NOISE: Final = np.array(
     [
         [0.2, 0.4, 0.3, 0.2, 0.2, 0.2, 0.3, 0.4],
@@ -141,11 +137,20 @@ therefore not used to judge results.
 """
 USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
 """Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
+SQUAT = 0.006
+"""Prior standard deviation of the response of the vertical force to d(v dv/dt)/dt [s^2/m].
+
+A body pitches by k dv/dt, and k is 2 to 3.5 deg/g, up to 0.006. Two parts of the force along z
+follow: -k (dv/dt)^2, because dv/dt is no longer along x, and -k v d2v/dt2, because the pitch rate
+is no longer that of the road, and -v q has been subtracted. Their sum is -k d(v dv/dt)/dt.
+"""
+NONE = 1e-5
+"""Prior standard deviation of a response that does not exist."""
 SPREAD: Final = np.array(
-    [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2
-        [0.1, 0.15, LAG[0], 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0]],
-        [0.1, 0.05, LAG[1], 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1]],
-        [0.5, 0.05, LAG[2], 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2]],
+    [  # -vq, jerk, d(vr)/dt, dp/dt, dq/dt, dr/dt, r^2, v, tilted x, y, dv/dt v r, (v r)^2, d(va)
+        [0.1, 0.15, LAG[0], 0.1, 1.5, 1.5, 3.0, 0.02, 0.03, 0.03, 0.01, IN_BENDS[0], NONE],
+        [0.1, 0.05, LAG[1], 1.5, 0.1, 3.0, 1.5, 0.02, 0.03, 0.03, 0.01, IN_BENDS[1], NONE],
+        [0.5, 0.05, LAG[2], 1.5, 3.0, 0.1, 0.1, 0.02, 0.03, 0.03, 0.02, IN_BENDS[2], SQUAT],
     ]
 )
 """Prior standard deviations of the nuisance coefficients for each axis of the force.
@@ -333,13 +338,15 @@ class Solution(NamedTuple):
         """True if the gains of both matrices in all directions are possible for a sensor."""
         return are_of_a_sensor(self.force, self.rate)
 
+    @property
+    def bias(self) -> Array:
+        """Zero error of the force (3,) in sensor axes [m/s^2]."""
+        return inverse(self.force) @ self.zero
+
     def sensor(self, priors: Priors) -> KnownSensor:
         """Return the part of the solution that belongs to the sensor itself."""
-        mixed, tilted = (self.housing @ np.linalg.inv(m) for m in (self.force, self.rate))
-        terms = np.zeros(UNKNOWNS)
-        terms[CROSS] = [mixed[place] for place in OFF]
-        terms[ZERO] = (mixed @ self.zero)[:2] / GRAVITY
-        terms[EPS] = *tilted[:2, 2], self.turn
+        terms = own_terms(self.housing, self.force, self.rate, self.zero)
+        terms[EPS][2] = self.turn
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
     def sent(self, turned: Array = NO_TURN, zero: Array = NO_ZERO) -> SentDeviations:
@@ -468,9 +475,7 @@ class Evidence:
     @property
     def bias(self) -> Array:
         """Present estimate of the accelerometer's zero error (3,) in sensor axes [m/s^2]."""
-        if self.solution is None:
-            return NO_ZERO
-        return inverse(self.solution.force) @ self.solution.zero
+        return NO_ZERO if self.solution is None else self.solution.bias
 
     @property
     def blocks(self) -> int:
@@ -662,9 +667,13 @@ class Evidence:
         moving = (in_use & (np.abs(at) > DRIVING_SPEED)).sum(axis=1)
         good = (used >= LEAST_USED * wd.WINDOW) & (moving >= LEAST_MOVING * used)
         if good.any():
-            x = means_between(x, known_times(knots, v, self._blocks[stop - 1].least_speed), use)
+            known = known_times(knots, v, self._blocks[stop - 1].least_speed)
+            x = means_between(x, known, use)
+            rate = wd.mean_by_power(
+                _by_window(known_rate(known, len(x)))[good], _by_window(x)[good]
+            )
             ends = np.arange(stop - len(good), stop)[good]
-            self._sums.add_spectra(wd.spectra(_by_window(x)[good], in_use[good]), ends)
+            self._sums.add_spectra(wd.spectra(_by_window(x)[good], in_use[good]), ends, rate)
 
     def _eliminated(
         self, first: int, stop: int, use: Flags
@@ -735,7 +744,6 @@ class Evidence:
 
     def start_from(self, R_vehicle_from_sensor: Matrix3) -> None:
         """Use a rotation (3, 3) as the working axes of both sensors."""
-        self._taken[:] = 0.0
         self._rotation = R_vehicle_from_sensor
         self._rework(R_vehicle_from_sensor, R_vehicle_from_sensor.copy(), np.zeros(3))
 
@@ -793,6 +801,7 @@ class Evidence:
 
     def _rework(self, force: Matrix3, rate: Matrix3, zero: Array) -> None:
         self._axes, self.rotation = (force, rate, zero), orthonormalised(force)
+        self._taken = own_terms(self._rotation, force, rate, zero)
         self._reset_windows()
         self._reset_drift()
         self._extend()
@@ -881,27 +890,19 @@ class Evidence:
         W, V, zero = self._axes
         round_up = np.diag([-1.0, -1.0, 1.0])
         self._rotation = round_up @ self._rotation
-        self._taken[:] = 0.0
         self._rework(round_up @ W, round_up @ V, round_up @ zero)
 
     def _look_for_delay(self) -> None:
         """Search the delay of the speed for which the force fits dv/dt best, before `_refine_delay`
-        can compute it. Also find the frequency bands in which the force follows dv/dt.
+        can compute it. Also find the frequency bands in which dv/dt is known.
         """
-        cross, power = self._sums.weigh_spectra()
-        power = np.maximum(power, 1e-12)
+        cross = self._sums.weigh_spectra()
         grid = DELAYS - self.delay
         noise = self._sums.force.noise[0]
         fit = (np.exp(-1j * np.outer(grid, wd.OMEGA)) @ (cross / noise[wd.BAND])).real
         fit[np.abs(DELAYS - self._late.mean) > REACH * self._late.std] = -math.inf
         best = float(grid[np.argmax(fit)])
-        answer = (np.exp(-1j * best * wd.OMEGA) * cross).real
-        in_band = np.asarray(np.bincount(wd.BAND, power), dtype=float)
-        gain = np.bincount(wd.BAND, answer) / in_band
-        error = np.sqrt(0.5 * wd.OVERLAP * noise / in_band)
-        follows = gain + CERTAIN * error >= FOLLOWS * median(gain[:3])
-        until = max(int(np.argmax(np.r_[~follows, True])), 3)
-        self._bands = np.arange(wd.BANDS) < until
+        self._bands = np.arange(wd.BANDS) < max(self._sums.bands_with_speed, LEAST_BANDS)
         limit = MOST_LATE if self.solution is None else FAR
         if abs(best) > limit and self._axes is not None:
             self.delay += best
@@ -1159,11 +1160,13 @@ class Evidence:
         shift = np.concatenate([theta[ZERO] * GRAVITY, [0.0]])
         moved = float(max(np.abs(E - np.eye(3)).max(), np.abs(C - np.eye(3)).max()))
         turn = float(theta[EPS][2])  # of the gyroscope about z: in no matrix
-        if moved >= MOST_LEFT:
-            self._taken[3:13] += theta[3:13]
+        housing = turned.T @ self._rotation
+        # Cross-axis terms in turned axes are partly gains, and no measurement shows a gain.
+        force, rate, zero = without_gains(
+            housing, solved(E, W), solved(C, V), solved(E, zero + shift)
+        )
         return Solution(
-            solved(E, W), solved(C, V), solved(E, zero + shift),
-            covariance, self.delay, moved, turned.T @ self._rotation, turn, same, against,
+            force, rate, zero, covariance, self.delay, moved, housing, turn, same, against,
             sent_variance(covariance),
         )  # fmt: skip
 
@@ -1178,8 +1181,10 @@ def force_fits(signals: OtherSignals) -> Fits:
         spread[:, _ROLLING] = ROLLING_SPREAD
     if not signals.speed:
         slopes = np.zeros(wd.BANDS) if signals.gyro else SLOPE_NOISE[1]
-        columns, noise = [tuple(UNKNOWN), columns[2]], np.array([UNKNOWN_NOISE + slopes, noise[2]])
-        spread = np.array([UNKNOWN_SPREAD, spread[2]])
+        few = len(UNKNOWN_SPREAD)
+        columns = [tuple(UNKNOWN), columns[2][: 1 + few]]
+        noise = np.array([UNKNOWN_NOISE + slopes, noise[2]])
+        spread = np.array([UNKNOWN_SPREAD, spread[2, :few]])
         if signals.steered:
             spread[0, -1] = STEERED_GAIN
     return Fits(tuple(columns), noise, spread, keep=2)

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, inverse, solved
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.drive.roads import SLOPE
@@ -160,6 +160,32 @@ def own_matrices(theta: Array) -> tuple[Matrix3, Matrix3]:
         mixed[place] = theta[CROSS.start + k]
     tilted[:2, 2] = theta[EPS][:2]
     return mixed, tilted
+
+
+def own_terms(housing: Matrix3, force: Matrix3, rate: Matrix3, zero: Array) -> Array:
+    """Return the unknowns (UNKNOWNS,) that belong to the sensor itself and that a correction takes
+    into account. The other unknowns are zero.
+
+    housing: (3, 3) R_vehicle_from_sensor of the housing. force, rate: (3, 3) matrices from sensor
+    axes to vehicle axes. zero: (3,) zero error of the force in vehicle axes [m/s^2].
+    """
+    mixed, tilted = housing @ inverse(force), housing @ inverse(rate)
+    terms = np.zeros(UNKNOWNS)
+    terms[CROSS] = [mixed[place] for place in OFF]
+    terms[ZERO] = (mixed @ zero)[:2] / GRAVITY
+    terms[EPS][:2] = tilted[:2, 2]
+    return terms
+
+
+def without_gains(
+    housing: Matrix3, force: Matrix3, rate: Matrix3, zero: Array
+) -> tuple[Matrix3, Matrix3, Array]:
+    """Return force, rate and zero of a correction whose sensor has no other terms than those of
+    `own_terms`. The arguments are the same as in `own_terms`.
+    """
+    mixed, tilted = own_matrices(own_terms(housing, force, rate, zero))
+    plain = solved(mixed, housing)
+    return plain, solved(tilted, housing), plain @ solved(force, zero)
 
 
 def entry(i: int, j: int) -> Array:

@@ -261,13 +261,14 @@ class WindowSums:
             fit.restart()
         self._blocks = np.zeros(0, dtype=int)
         self._cross = np.zeros((0, len(wd.BINS)), dtype=complex)
-        self._power = np.zeros((0, len(wd.BINS)))
+        self._power = np.zeros(0)
         self._trust = np.zeros(0)
+        self._knots = np.zeros(0)
         self._shared = np.zeros((0, 2, 4))
 
-    def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_]) -> None:
+    def add_spectra(self, spectra: Complex, blocks: NDArray[np.int_], known_rate: Array) -> None:
         """Add the spectra (n, bins, columns) of n windows. blocks: (n,) number of the last block
-        of each window.
+        of each window. known_rate: (n,) number of known speeds per tick in each window.
         """
         products = wd.products(spectra)
         for fit in self._fits:
@@ -276,8 +277,9 @@ class WindowSums:
         main = products[:, :, MAIN].sum(axis=1)
         self._blocks = np.concatenate([self._blocks, blocks])
         self._cross = np.concatenate([self._cross, np.conj(driven) * spectra[:, :, 0]])
-        self._power = np.concatenate([self._power, np.abs(driven) ** 2])
+        self._power = np.concatenate([self._power, (np.abs(driven) ** 2).sum(axis=1)])
         self._trust = np.concatenate([self._trust, np.ones(len(blocks))])
+        self._knots = np.concatenate([self._knots, known_rate * wd.WINDOW])
         shared = np.concatenate([main[:, :, MAIN], main[:, :, TURNED]], axis=2)
         self._shared = np.concatenate([self._shared, shared])
 
@@ -291,6 +293,7 @@ class WindowSums:
         self._blocks = self._blocks[gone:] - blocks
         self._cross, self._power = self._cross[gone:], self._power[gone:]
         self._shared, self._trust = self._shared[gone:], self._trust[gone:]
+        self._knots = self._knots[gone:]
 
     def began(self, segments: NDArray[np.int_]) -> NDArray[np.int_]:
         """Return the first block (S,) of a group of road segments that ends with the last window.
@@ -307,17 +310,27 @@ class WindowSums:
         first = (n - 1) % length if to_last else length - 1
         return self._blocks[np.minimum(np.arange(first, n + first, length), n - 1)]
 
-    def weigh_spectra(self) -> tuple[Complex, Array]:
+    def weigh_spectra(self) -> Complex:
         """Give each window its weight in the last fit of the forward force. A window in a road
         segment keeps its earlier weight.
 
-        Return weighted sums for each frequency bin (bins,): the product of dv/dt with the forward
-        force, and the square of dv/dt.
+        Return the weighted sum of the products of dv/dt with the forward force, for each frequency
+        bin (bins,).
         """
         trust = self.force.trust[0]
         self._trust[len(self._trust) - len(trust) :] = trust
-        cross = np.asarray(self._trust @ self._cross, dtype=complex)
-        return cross, self._trust @ self._power
+        return np.asarray(self._trust @ self._cross, dtype=complex)
+
+    @property
+    def bands_with_speed(self) -> int:
+        """Number of the lowest frequency bands in which the known speeds determine dv/dt.
+
+        Means between K known speeds in a window have K independent values. The Fourier bins above
+        the first K / 2 therefore repeat the lower bins (Nyquist). K is the mean over all times,
+        weighted by the power of dv/dt.
+        """
+        known = float(self._power @ self._knots) / max(float(self._power.sum()), 1e-12)
+        return int(np.count_nonzero(np.array(wd.EDGES[1:]) - 1 <= 0.5 * known))
 
     @property
     def leak(self) -> Array:

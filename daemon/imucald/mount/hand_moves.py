@@ -1,14 +1,4 @@
-"""Detect a large rotation of the sensor. The test runs in every block from the first minutes of a
-drive.
-
-`joint.moves` finds small changes, after enough road was driven to know the usual variation. A
-rotation by several degrees is visible in single blocks, in three ways: the direction of gravity
-without the motion, the direction in which the force responds to dv/dt and v r, and any rotation
-while the vehicle stands. Each block of the last minutes is tried as the time of a
-change: the mean before is compared with the mean after (a generalised likelihood ratio test;
-Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-
-Markov process over the distance driven, as in `evidence_gravity`. `block_sums` gives the yaw of a
-single block. The spreads of tilt and yaw start at a prior and are then estimated.
+"""Detect a sensor that is turned by hand or by a knock.
 
 `TurnedAlone` detects a sensor that turns about the vertical while the vehicle does not turn.
 
@@ -20,25 +10,21 @@ measured by its yaw rate and, at speed, also by the force to the left (v r).
 The angle of a gyroscope that sends seldom has a random walk (`gyro_walk`). For example, a phone
 that shook in its holder, at five samples a second, seemed to turn by 29 deg within 2 s and had not
 turned.
+
+`HandMoves` also detects any rotation and any tilt of the sensor while the vehicle stands.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags
-from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.alternatives import MAX_REVERSE
-from imucald.mount.block_sums import BlockMotion, BlockSums, block_yaw
-from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.evidence_gravity import share_of_one_place
 from imucald.mount.signal_blocks import SignalBlock
 
 APART = 20
@@ -133,55 +119,9 @@ class TurnedAlone:
         return float(alone[k])
 
 
-REMEMBERED = 50
-"""Number of blocks that are stored (320 s)."""
-LEAST_BEFORE = (5, 5, 3)
-"""Smallest number of blocks before a change of roll, pitch and yaw.
-
-In yaw, few blocks are enough to show a change of `MIN_SIZE`.
-"""
-MOST_AFTER = 12
-"""Largest number of blocks between a tested change and now (77 s)."""
-LEAST_TICKS = 32
-"""Smallest number of good ticks in a usable block: half of all ticks."""
-TILT_NOISE = math.radians(0.5)
-"""Deviation of a block's tilt from other causes than the road's slope: squat, gain errors, unknown
-motion [rad]."""
-PRIOR_BLOCKS = 10.0
-"""Weight of the prior for the spread, in blocks."""
-CLIP = 4.5
-"""Limit, in standard deviations, on the contribution of one block to the spread in yaw: a single
-bend may be unusual."""
-LIMITS = (6.0, 6.0, 6.0)
-"""Standard deviations above which a change in roll, pitch or yaw counts.
-
-The probability of 6 standard deviations is 2e-9 for a normal variable, two-sided. This probability
-gives one false alarm in 3,000 h: there are 560 blocks an hour and about twelve tests in each block,
-of which two or three are independent.
-"""
-MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(2.5))
-"""Smallest change in roll, pitch and yaw that this test reports [rad]. `joint.moves` finds smaller
-changes.
-
-Only on mountain roads (10 %) can the mean slope of half a minute differ this much from the mean
-slope of the minutes before.
-"""
-AGREEING = 0.4
-"""Share of a change that every block since the change must show. A single gust or a single bad road
-is therefore not enough for a change.
-"""
-CLEAR, CLEAR_BLOCKS = 3.0, 2
-"""Conditions for a change of yaw. A block is clear if the change is at least `CLEAR` standard
-deviations of this block. At least `CLEAR_BLOCKS` blocks must be clear.
-"""
 STANDING_TURN = math.radians(3.0)
 """Angle [rad] by which a standing vehicle cannot turn or tilt. People who get in tilt a vehicle by
 half a degree.
-"""
-BACKWARDS = math.radians(150.0)
-"""Change of yaw [rad] above which a block is left out if no signal shows reverse and its speed is
-possible in reverse: the vehicle may be driving backwards. A sensor is seldom turned by exactly half
-a turn.
 """
 LEAST_RADIUS = 4.0
 """Smallest radius of the circle on which the middle of a car's rear axle drives [m]. Turning
@@ -203,44 +143,35 @@ of the wheel sensors (up to 1 m/s, `standstill`, at 1 m/s^2).
 """
 
 
-TILTS = (0, 1)
-YAW, METRES, TILT_WEIGHT, YAW_WEIGHT = 2, 3, 4, 5
-NO_ROWS: Array = np.zeros((0, 6))
-"""Columns of each block: roll, pitch and yaw about R [rad], distance [m], weight of the tilt
-(distance plus 3 m), weight of the yaw (information [1/rad^2]).
-"""
+YAW = 2
 
 
-class LargeChange(Struct, frozen=True):
-    """A large change of one angle.
+class HandMove(Struct, frozen=True):
+    """A rotation by several degrees, found in its own block.
 
-    axis: 0 roll, 1 pitch, 2 yaw. size: change [rad]. deviations: change in standard deviations.
-    blocks: number of blocks since the change. is_felt: the gyroscope has measured at least half of
-    the change.
+    axis: largest angle, 0 roll, 1 pitch, 2 yaw. size: this angle [rad]. deviations: this angle in
+    standard deviations. is_felt: the gyroscope has measured at least half of the rotation. blocks:
+    number of blocks since the rotation.
     """
 
     axis: int
     size: float
     deviations: float
-    blocks: int
     is_felt: bool = False
+    blocks: int = 1
 
 
-class LargeChangeDetector:
-    """Tests the tilt and the yaw of blocks, relative to the present rotation."""
+class HandMoves:
+    """Detects a sensor that is turned by hand: while the vehicle stands, or alone while it
+    drives."""
 
-    def __init__(self, settings: EstimatorSettings) -> None:
-        across, along = settings.unevenness
-        self._slope = settings.slope_std * np.array([across, along])
-        self._length = settings.slope_length
+    def __init__(self) -> None:
         self._alone = TurnedAlone()
-        self.restart()
+        self._forget_standing()
 
     def restart(self) -> None:
         """Restart: later data are not compared with earlier data."""
         self._alone.restart()
-        self._rows = NO_ROWS
-        self._R: Matrix3 | None = None
         self._forget_standing()
 
     def _forget_standing(self) -> None:
@@ -249,128 +180,26 @@ class LargeChangeDetector:
         self._turned, self._felt = np.zeros(3), np.zeros(3)
         self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
 
-    def take_block(
-        self,
-        sums: BlockSums,
-        use: Flags,
-        R: Matrix3,
-        motion: BlockMotion,
-        gains: tuple[float, float],
-        has_speed: bool,
-        has_reverse: bool,
-    ) -> None:
-        """Process a block and its motion.
-
-        use: (N,) flags of the ticks that count. sums: sums over these ticks. R: present rotation.
-        gains: gains of dv/dt and v r (speed times yaw rate). has_reverse: True if there is a
-        reverse signal.
-        """
-        if self._R is not None and R is not self._R:
-            moved = vector_from_rotation(R @ self._R.T)
-            if math.sqrt(moved @ moved) > 0.35:
-                self.restart()
-            else:
-                self._rows[:, :METRES] -= moved
-        self._R = R
-        n = sums.n
-        if not has_speed or n < LEAST_TICKS:
-            return
-        u, v, w = (force / n for force in sums.force)
-        x, y, z = (a * u + b * v + c * w for a, b, c in R.tolist())
-        x -= gains[0] * sums.accel / n
-        y -= gains[1] * sums.turn / n
-        yaw, known = block_yaw(motion, use)
-        if abs(yaw) > BACKWARDS and not has_reverse and sums.fastest < MAX_REVERSE:
-            known = 0.0
-        metres = sums.speed * TICK_S
-        e = math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw
-        row = [*e, metres, metres + 3.0, known]
-        self._rows = np.concatenate([self._rows[1 - REMEMBERED :], [row]])
-
-    def found(self, with_yaw: bool) -> LargeChange | None:
-        """Return the most significant change above the limits, or None.
-
-        with_yaw: test the yaw too.
-        """
-        rows = self._rows
-        changes = [self._best(TILTS, rows[:, :YAW], rows[:, TILT_WEIGHT], range(len(rows)))]
-        if with_yaw:
-            at = (rows[:, YAW_WEIGHT] > 0.0).nonzero()[0]
-            known = rows[at]
-            changes.append(self._best((YAW,), known[:, YAW:METRES], known[:, YAW_WEIGHT], at))
-        best: LargeChange | None = None
-        excess = 1.0
-        for change in changes:
-            if change is not None and abs(change.deviations) / LIMITS[change.axis] > excess:
-                best, excess = change, abs(change.deviations) / LIMITS[change.axis]
-        return best
-
-    def _tilt_variance(self, axis: int, blocks: int, metres: float) -> float:
-        part = share_of_one_place(metres, self._length)
-        return float(self._slope[axis] ** 2) * part + TILT_NOISE**2 / blocks
-
-    def _best(
-        self, axes: tuple[int, ...], e: Array, w: Array, at: Sequence[int] | NDArray[np.int64]
-    ) -> LargeChange | None:
-        """Return the best change of the given axes, or None.
-
-        e: (n, axes) angles of the blocks [rad]. w: (n,) weights. at: (n,) positions of the blocks
-        among all blocks.
-        """
-        n = len(e)
-        best: LargeChange | None = None
-        most = min(MOST_AFTER, n - LEAST_BEFORE[axes[0]])  # blocks after the change, from two on
-        if most < 2:
-            return None
-        weights, sums = w[::-1].cumsum(), (w[:, None] * e)[::-1].cumsum(axis=0)
-        new_w, new_e = weights[1:most], sums[1:most]
-        old_w, old_e = weights[-1] - new_w, sums[-1] - new_e
-        sizes = new_e / new_w[:, None] - old_e / old_w[:, None]
-        if max(sizes.max(), -sizes.min()) < MIN_SIZE[axes[0]]:
-            return None
-        columns, times = np.nonzero(np.abs(sizes.T) >= MIN_SIZE[axes[0]])
-        for column, j in zip(columns.tolist(), times.tolist(), strict=True):
-            after, size = j + 2, float(sizes[j, column])
-            k, one = n - after, e[:, column]
-            wa, wb = float(new_w[j]), float(old_w[j])
-            old = float(old_e[j, column]) / wb
-            shown = (one[k:] - old) / size
-            if axes[column] == YAW:
-                shown = shown[w[k:] * (size * size) >= CLEAR * CLEAR]
-            if len(shown) < CLEAR_BLOCKS or float(shown.min()) < AGREEING:
-                continue
-            left = one[:k] - old
-            if axes[column] == YAW:
-                spread = float(np.minimum(w[:k] * left * left, CLIP * CLIP).sum()) / k
-                each, before = 1.0 / wa, 1.0 / wb
-            else:
-                metres, axis = self._rows[:, METRES], axes[column]
-                usual = self._tilt_variance(axis, 1, float(metres[:k].mean()))
-                spread = float(w[:k] @ (left * left)) / wb / usual
-                each = self._tilt_variance(axis, after, float(metres[k:].sum()))
-                before = self._tilt_variance(axis, k, float(metres[:k].sum()))
-            scale = max((PRIOR_BLOCKS + k * spread) / (PRIOR_BLOCKS + k), 0.8)
-            deviations = size / math.sqrt(scale * (each + before))
-            if best is None or abs(deviations) > abs(best.deviations):
-                best = LargeChange(axes[column], size, deviations, len(self._rows) - int(at[k]))
-        return best
-
     def while_driving(
-        self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_yaw_rate: bool
-    ) -> LargeChange | None:
-        """Return a rotation of the sensor without the vehicle."""
+        self, p: SignalBlock, R: Matrix3, turn_rate: Array, lateral: Array, has_yaw_rate: bool
+    ) -> HandMove | None:
+        """Return a rotation of the sensor without the vehicle.
+
+        turn_rate: (N,) turn rate from the gyroscope [rad/s]. lateral: (N,) force to the left
+        without gravity [m/s^2].
+        """
         if has_yaw_rate:
             ok, vehicle, by = p.ok_yaw, p.yaw_rate, YAW_RATE
         else:
             ok = p.ok_force & p.ok_speed & (np.abs(p.speed) > MIN_SPEED)
-            vehicle, by = motion.force[:, 1] / np.where(ok, p.speed, 1.0), FORCE
+            vehicle, by = lateral / np.where(ok, p.speed, 1.0), FORCE
         by = by.beside(float(R[2] @ p.rate_walk @ R[2]))
-        turned = self._alone.take_rates(motion.turn_rate, vehicle, p.ok_rate & ok, by)
+        turned = self._alone.take_rates(turn_rate, vehicle, p.ok_rate & ok, by)
         if turned == 0.0:
             return None
-        return LargeChange(2, turned, turned / (by.least / DEVIATIONS), 1)
+        return HandMove(YAW, turned, turned / (by.least / DEVIATIONS))
 
-    def while_standing(self, p: SignalBlock, R: Matrix3) -> LargeChange | None:
+    def while_standing(self, p: SignalBlock, R: Matrix3) -> HandMove | None:
         """Return a rotation or a tilt of the sensor while the vehicle stands."""
         rest = p.rest & p.ok_force
         first = 0
@@ -411,7 +240,7 @@ class LargeChangeDetector:
             e = _tilt(before, force[-STANDING_TICKS:].mean(axis=0), R)
         self._stopped_at, self._turned, self._felt = None, np.zeros(3), np.zeros(3)
         size, is_felt = float(e[axis]), abs(felt[axis] - e[axis]) < 0.5 * abs(e[axis])
-        return LargeChange(axis, size, size / float(limits[axis]) * DEVIATIONS, 1, bool(is_felt))
+        return HandMove(axis, size, size / float(limits[axis]) * DEVIATIONS, bool(is_felt))
 
 
 def _tilt(before: Array, now: Array, R: Matrix3) -> Array:
