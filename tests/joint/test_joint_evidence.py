@@ -14,7 +14,8 @@ from imucald.drive.windows import WINDOW, spectra
 from imucald.mount.joint import evidence as module
 from imucald.mount.joint import sums
 from imucald.mount.joint.evidence import Block, Evidence, Solution
-from imucald.mount.joint.state import Priors
+from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, fuse, joined
+from imucald.mount.joint.state import UNKNOWNS, Priors
 from joint.planar_drive import ROTATION, Sensor, blocks, cross_talk
 
 ALL = np.ones(64, dtype=bool)
@@ -316,3 +317,20 @@ def test_a_body_that_pitches_when_it_brakes_puts_no_motion_into_the_vertical_for
     found = evidence.solve()
     assert found is not None
     assert abs(np.degrees(cross_talk(found.force, np.eye(3))[2, 0])) < 0.2
+
+
+def test_two_measurements_on_the_same_road_do_not_count_twice() -> None:
+    """A grade of the whole drive is in the mean force and in the axis of turning of its bends."""
+    rows = np.eye(UNKNOWNS)[9:11]  # of two unknowns that are equal but for a small difference
+    level, turning = (
+        LinearMeasurement(row[None], np.array([0.02]), np.array([[0.0004]])) for row in rows
+    )
+    tie = LinearMeasurement(rows[:1] - rows[1:], np.zeros(1), np.array([[1e-8]]))
+    prior = any_sensor(Priors(cross_axis=((0.01, 1.0),)))
+    nothing = np.zeros(UNKNOWNS)
+    stds = [
+        np.sqrt(fuse(prior, [tie, *measured], nothing)[1][9, 9])
+        for measured in ([level], [joined(level, turning, 0.0004 - 1e-9)], [level, turning])
+    ]
+    assert stds[1] == pytest.approx(stds[0], rel=0.02)
+    assert stds[2] < 0.9 * stds[0], "nothing is tested otherwise"

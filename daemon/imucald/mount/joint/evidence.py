@@ -39,7 +39,7 @@ from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.even_signals import BLOCK_TICKS
 from imucald.mount.joint.drift import NONE as NO_DRIFT
 from imucald.mount.joint.drift import Drift, Drifts, ZeroDrift
-from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, contradiction, fuse
+from imucald.mount.joint.fusion import LinearMeasurement, any_sensor, contradiction, fuse, joined
 from imucald.mount.joint.known import AS_BEFORE, PROBABLY_OTHER, KnownSensor
 from imucald.mount.joint.moves import (
     LEAST_BEFORE,
@@ -938,13 +938,14 @@ class Evidence:
             C = C / np.outer(scale, scale)
             measured.append(LinearMeasurement(rows, value / scale, C))
             variances |= {ANSWERS[at]: float(C[m, m]) for m, (_, at) in enumerate(answered)}
-        level = self._level_measured()
-        measured += level
+        level, lean = self._level_measured()
         variances |= {k: float(m.covariance[0, 0]) for k, m in zip(LEVELS, level, strict=True)}
         if has_gyro:
-            turning = self._turning_measured()
+            turning, leaning = self._turning_measured()
             variances |= {ANSWERS[i, 2]: float(m.covariance[0, 0]) for i, m in enumerate(turning)}
-            measured += turning
+            shared = np.minimum(lean, leaning)  # the roads of the bends are a part of all roads
+            level = [joined(*pair) for pair in zip(level, turning, shared, strict=True)]
+        measured += level
         if self._follows_drift:
             measured.append(self._vertical_measured())
         self.variances = variances
@@ -1094,11 +1095,15 @@ class Evidence:
             size, variance = means[1:, i] - means[0, i], variances[1:, i] + variances[0, i]
             yield EntryChange(level_row(i)[PHI], size, variance, ROAD_TAIL)
 
-    def _level_measured(self) -> list[LinearMeasurement]:
+    def _level_measured(self) -> tuple[list[LinearMeasurement], Array]:
+        """Return the measurements of the level zero along x and y, and the variances (2,) of the
+        roads' mean slope in these measurements.
+        """
         priors = self._priors
         levels = self._levels[:, :5] / [GRAVITY, GRAVITY, 1.0, 1.0, GRAVITY]
         whole = np.array([[0, len(levels)]])
         (mean,), (variance,) = mean_slopes(levels[:, :4], whole, priors.slope)
+        lean = variance.copy()
         if self.signals.bend:
             mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
         stds = np.array([b.turn_zero_std for b in self._blocks[: len(levels)]])
@@ -1113,22 +1118,23 @@ class Evidence:
             value = mean[i] - (priors.crown[0] if i == 1 else 0.0)
             noise = np.array([[variance[i] + 0.002**2]])
             out.append(LinearMeasurement(level_row(i)[None], np.array([value]), noise))
-        return out
+        return out, lean
 
-    def _turning_measured(self) -> list[LinearMeasurement]:
+    def _turning_measured(self) -> tuple[list[LinearMeasurement], Array]:
         """Return the measurements of the axis of turning: column 3 of the rate's matrix, plus the
-        mean slope of the bends.
+        mean slope of the bends. Also return the variances (2,) of this mean slope.
         """
         priors, out = self._priors, []
         found = self._sums.turning.respond(ALL_BANDS)
+        leaning = priors.slope**2 / found.segments[:, 0]
         for i in range(2):
             row = rate_entry(i, 2)
             if i == 1:
                 row[CROWN] = 1.0
             value = found.value[i] - (priors.crown[0] if i == 1 else 0.0)
-            roads = priors.turning[i] ** 2 + priors.slope**2 / found.segments[i, 0]
-            out.append(LinearMeasurement(row[None], value, found.covariance[i] + roads))
-        return out
+            noise = found.covariance[i] + priors.turning[i] ** 2 + leaning[i]
+            out.append(LinearMeasurement(row[None], value, noise))
+        return out, leaning
 
     def _vertical_measured(self) -> LinearMeasurement:
         """Return the axis of turning relative to the vertical from the accelerometer, as estimated

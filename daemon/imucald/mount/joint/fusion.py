@@ -30,6 +30,14 @@ class LinearMeasurement(NamedTuple):
     covariance: Array
 
 
+def joined(one: LinearMeasurement, other: LinearMeasurement, shared: float) -> LinearMeasurement:
+    """Return two single measurements as one. shared: covariance of their errors."""
+    noise = np.diag([one.covariance[0, 0], other.covariance[0, 0]])
+    noise[0, 1] = noise[1, 0] = shared
+    values = np.concatenate([one.values, other.values])
+    return LinearMeasurement(np.vstack([one.rows, other.rows]), values, noise)
+
+
 def fuse(
     hypotheses: Sequence[WeightedPrior], measured: Sequence[LinearMeasurement], taken: Array
 ) -> tuple[Array, Array, Array]:
