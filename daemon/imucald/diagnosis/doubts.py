@@ -118,8 +118,7 @@ def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, f
     h = trial.hypothesis
     if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False
-    gains = h.directions or tuple({key: 1.0} for key in h.keys)
-    own = {n: max(_energy(g, table, d) for d in gains) for n, g in table.by_equation.items()}
+    own = {n: max(_energy(g, table, d) for d in h.along) for n, g in table.by_equation.items()}
     missing = 0.0
     for key, x in delays.items():
         if key not in table.keys:

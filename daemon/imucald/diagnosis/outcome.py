@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +22,10 @@ from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
 from imucald.diagnosis.direct.stops import Rest
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
+from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.result import (
-    EQUALLY_WELL,
     OTHERWISE,
+    UNBELIEVED,
     Candidate,
     Certainty,
     Estimated,
@@ -40,9 +41,11 @@ from imucald.diagnosis.search.trials import LEVELLED, SINGLE_NATS, Trial, questi
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-MISSING = (Kind.NOT_PLAUSIBLE, Kind.TOO_MUCH, Kind.GOES_AGAINST)
+MISSING = (Kind.NOT_PLAUSIBLE, *UNBELIEVED)
 """Kinds of structure that contradict the model: a cause is missing, with or without direct
 evidence."""
+FEW_BLOCKS = 20
+"""Number of segments below which the number is an argument against a cause."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
 
@@ -50,7 +53,7 @@ SEEN_SHARE = 0.02
 def cause_of_trial(
     state: State,
     trial: Trial,
-    estimates: Mapping[str, tuple[float, float, float]],
+    estimates: Mapping[str, tuple[float, float]],
     certainty: Certainty = "certain",
 ) -> FoundCause:
     """Return a cause that the fit named, or a cause that is likely."""
@@ -62,7 +65,7 @@ def cause_of_trial(
             continue
         x = float(trial.estimate.value[i])
         change = state.changes.get(key, x) if h.pattern is None else x
-        change, se, _ = estimates.get(key, (change, float(trial.estimate.se[i]), 0.0))
+        change, se = estimates.get(key, (change, float(trial.estimate.se[i])))
         stated = value(state.stated, key)
         row = PARAMETERS[key]
         parameters[key] = Estimated(
@@ -146,8 +149,8 @@ def first_signal(table: Table | None, keys: Sequence[str]) -> str:
 
 
 def _against(state: State, trial: Trial) -> list[str]:
-    """Return the arguments against a cause: single blocks, a value that wanders, rivals, few
-    segments."""
+    """Return the arguments against a cause: single blocks, a value that wanders, few segments.
+    `look_alikes` has its rivals."""
     texts = []
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
@@ -158,14 +161,9 @@ def _against(state: State, trial: Trial) -> list[str]:
             texts.append(
                 f"{key} moves by {_with_unit(f'{wander:.2g}', key)} between quarters of the data"
             )
-    rivals = state.rivals.get(trial.hypothesis.name, [])
-    if rivals:
-        names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
-        texts.append(f"{names}{EQUALLY_WELL}")
-    if trial.hypothesis.pattern is None and state.table is not None:
-        few = state.table.blocks < 20
-        if few:
-            texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
+    is_plain = trial.hypothesis.pattern is None
+    if is_plain and state.table is not None and state.table.blocks < FEW_BLOCKS:
+        texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
     return texts
 
 
@@ -305,9 +303,8 @@ def _n(x: float) -> str:
     return f"{x:.2g}"
 
 
-def implausible(state: State) -> tuple[Structure, ...]:
-    """Return explanations that fit the numbers but are physically implausible."""
-    made = []
+def implausible(state: State) -> Iterator[Answer]:
+    """Yield explanations that fit the numbers but are physically implausible."""
     for t in state.implausible:
         i = int(np.argmax(np.abs(t.estimate.value) / np.abs(t.plausible).max(axis=1)))
         key = t.hypothesis.keys[i]
@@ -321,8 +318,8 @@ def implausible(state: State) -> tuple[Structure, ...]:
             f"but {'may be more than is' if t.is_plausible else 'is not'} physically plausible "
             f"({low:.3g} to {high:.3g} is): a cause is missing"
         )
-        made.append(Structure(signal, Kind.NOT_PLAUSIBLE, float(t.estimate.quantile), text))
-    return tuple(made)
+        yield Answer(signal, float(t.estimate.quantile), 0.0, 0.0, text,
+                     shown=float(t.estimate.quantile))  # fmt: skip
 
 
 def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:

@@ -1,8 +1,7 @@
 """Test the residuals after the search, without a known cause.
 
-The four tests find a residual that is too large, a common motion in the residuals of two equations
-without a common sensor, a line in a spectrum, and signals with the opposite sign of their
-prediction.
+The tests find signals with the opposite sign of their prediction, a residual that is too large, a
+common motion in the residuals of two equations without a common sensor, and a line in a spectrum.
 """
 
 from __future__ import annotations
@@ -19,15 +18,13 @@ from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt, late_signals
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import losses, one_in_fifteen
-from imucald.diagnosis.left_over.remains import DRIVEN, Remains, Spectra
-from imucald.diagnosis.result import Kind, Structure
+from imucald.diagnosis.left_over.remains import DRIVEN, LEAST_SEGMENTS, Remains, Spectra
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, STEP_S, Mask
 
-OPPOSITE = -0.4
-"""Correlation of a signal with its prediction below which a sign is wrong."""
+OPPOSITE = 0.4
+"""Negative correlation of a signal with its prediction above which a sign is wrong."""
 LEAST_ROWS = 300
-LEAST_BLOCKS = 10
 HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""
@@ -71,10 +68,9 @@ ZEROS: Mapping[str, str] = {
 is not reported."""
 
 
-def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
-    """Return the signals that have the opposite sign of their prediction. The reason is a wrong
-    sign in the configuration."""
-    found = []
+def goes_against(forwards: Sequence[Forward]) -> Iterator[Answer]:
+    """Test for signals that have the opposite sign of their prediction. The reason is a wrong sign
+    in the configuration."""
     f = max(forwards, key=lambda f: f.blocks)
     measured, masks = f.measured(), f.usable()
     residual = f.level(f.residuals({}), masks)
@@ -89,10 +85,8 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
         if np.std(y) == 0.0 or np.std(p) == 0.0:
             continue
         r = float(np.corrcoef(y, p)[0, 1])
-        if r < OPPOSITE:
-            text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
-            found.append(Structure(name, Kind.GOES_AGAINST, abs(r), text))
-    return found
+        text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
+        yield Answer(name, -r, OPPOSITE, 0.0, text, shown=-r)
 
 
 def too_much(left: Remains) -> Iterator[Answer]:
@@ -159,7 +153,7 @@ def shared(left: Remains) -> Iterator[Answer]:
         known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)
         a, b = spectra[first], spectra[second]
         good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
-        if good.sum() < LEAST_BLOCKS:
+        if good.sum() < LEAST_SEGMENTS:
             continue
         bands = [(hz >= x) & (hz < y) for x, y in BANDS_HZ]
         pushed = [_common(a[good], b[good], known[good], band) for band in bands]
@@ -246,7 +240,7 @@ def lines(left: Remains) -> Iterator[Answer]:
         known = np.stack([spectra[each] for each in DRIVEN], axis=2)
         z = spectra[name]
         good = np.isfinite(z[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
-        if good.sum() < LEAST_BLOCKS:
+        if good.sum() < LEAST_SEGMENTS:
             continue
         z = left_of_known(z[good], known[good])
         hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)

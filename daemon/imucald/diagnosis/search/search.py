@@ -15,13 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import CAUSES, family
 from imucald.diagnosis.fit.chance import Tick
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
 from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
-from imucald.diagnosis.search.state import State, refit, shift_steps
+from imucald.diagnosis.search.state import State, refit
 from imucald.diagnosis.search.trials import (
     ALIKE_SE,
     SINGLE_NATS,
@@ -91,8 +90,6 @@ def simplify(state: State, trial: Trial) -> None:
     if name is None or not first:
         return
     problem = state.evaluated()
-    if not set(h.keys) <= set(problem.table.keys):
-        return
     without_it = held_out(put_back(problem, state, first))
     if without_best(without_it - held_out(problem)) > trial.needed:
         return
@@ -240,12 +237,12 @@ def _grown(
         state.last = _trials(problem, state, skip)
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
         best = _winner(open_to) or _where_it_leads(problem, replace(state, last=open_to))
-        shift = None if state.left_out else find_shift(problem, problem.table.levels)
+        shift = None if state.left_out else find_shift(problem)
         if shift is not None and shift.named and (best is None or shift.shown > best.shown):
             # The parts before and after a shift are like two drives, so the search in this one
             # ends.
             state.shift = shift
-            state.model = with_shifts(state.model, shift_steps(shift))
+            state.apply({})
             state.evaluated()
             break
         if best is None:
@@ -264,8 +261,6 @@ def _grown(
         state.rivals.setdefault(name, []).extend(
             t for t in alike if t is not chosen and t.is_plausible
         )
-        if best is not chosen and best.is_plausible:
-            state.rivals[name].append(best)
         state.named.append(chosen)
         if chosen.hypothesis.pattern is not None:
             # The model file has no place for a drift: like a shift, it ends the search.
@@ -396,7 +391,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     freed = set(state.free)
     for _ in range(2):
         state.apply(problem.moves(h))
-        state.held |= {k for d in h.directions for k in d} - freed
+        state.held |= h.moved - freed
         problem = state.evaluated()
     half = chosen.estimate.quantile * chosen.estimate.se
     for k, d in enumerate(h.directions):

@@ -13,8 +13,9 @@ from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
 from imucald.diagnosis.fit.blocks import NDArrayInt, Table
-from imucald.diagnosis.fit.intervals import ERROR_RATE, Estimate, estimate
+from imucald.diagnosis.fit.intervals import Estimate, estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
+from imucald.diagnosis.signals import CHANCE
 from imucald.model.model import VehicleModel
 
 SINGLE = 0.05
@@ -198,7 +199,7 @@ def tried(
     index = problem.table.index(h.keys)
     t = problem.table
     return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
-                 t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
+                 t.tolerance[index], t.plausible[index], math.log(questions / CHANCE),
                  float(student.ppf(1.0 - 0.5 * SINGLE, t.blocks - 1)), _reach(t, h),
                  t.number)  # fmt: skip
 
