@@ -19,7 +19,7 @@ from imucald.core.samples import Samples
 from imucald.core.text import counted
 from imucald.diagnosis import outcome
 from imucald.diagnosis.cause_keys import mount_of, usual_tolerance, with_low_passes
-from imucald.diagnosis.causes import family
+from imucald.diagnosis.causes import GYRO_BIAS, family
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.levels import with_levels
 from imucald.diagnosis.direct.single_values import Lost, all_lost, as_structure
@@ -56,7 +56,6 @@ LIMIT_S_PER_H = 40.0
 """Limit of the search's processor time per hour of driving [s]. At this limit, the search ends with
 its present result. The steps after the search take up to 15 s more per hour of driving."""
 LEAST_LIMIT_S = 10.0
-GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 NOT_AS_STATED = (

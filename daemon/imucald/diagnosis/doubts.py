@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imucald.core.arrays import Array
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import SENSED, TAKES, TILTED, Table
@@ -118,22 +117,13 @@ def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, f
     h = trial.hypothesis
     if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False
-    own = {n: max(_energy(g, table, d) for d in h.along) for n, g in table.by_equation.items()}
+    gains = [table.energy(along) for along in h.along]
+    own = {n: max(float(e[n].sum()) for e in gains) for n in table.by_equation}
     missing = 0.0
     for key, x in delays.items():
-        if key not in table.keys:
-            continue
-        for name, size in own.items():
-            if size > SEEN_SHARE * sum(own.values()):
-                both = _energy(table.by_equation[name], table, {key: 1.0})
-                missing = max(missing, 0.5 * x * x * both / size)
+        late = table.energy({key: x}) if key in table.keys else {}
+        for name, energy in late.items():
+            if own[name] > SEEN_SHARE * sum(own.values()):
+                missing = max(missing, 0.5 * float(energy.sum()) / own[name])
     v = np.abs(trial.estimate.value)
     return bool(np.all(v <= trial.tolerance + missing))
-
-
-def _energy(gram: Array, table: Table, direction: Mapping[str, float]) -> float:
-    """Return the sum of squares of a column, or of several columns with fixed ratios, from Gram
-    matrices (B, ., .)."""
-    index = [1 + i for i in table.index(tuple(direction))]
-    x = np.array(list(direction.values()))
-    return float(x @ gram.sum(axis=0)[np.ix_(index, index)] @ x)

@@ -18,7 +18,7 @@ from imucald.diagnosis.cause_keys import (
     tolerance,
     value,
 )
-from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
+from imucald.diagnosis.causes import BY_NAME, GYRO_BIAS, PARAMETERS, family
 from imucald.diagnosis.direct.stops import Rest
 from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.fit.blocks import TAKES, Table
@@ -66,11 +66,7 @@ def cause_of_trial(
         x = float(trial.estimate.value[i])
         change = state.changes.get(key, x) if h.pattern is None else x
         change, se = estimates.get(key, (change, float(trial.estimate.se[i])))
-        stated = value(state.stated, key)
-        row = PARAMETERS[key]
-        parameters[key] = Estimated(
-            stated + change, se, row.unit, stated, float(trial.tolerance[i])
-        )
+        parameters[key] = _estimated(state.stated, key, change, se, float(trial.tolerance[i]))
     sd = max(abs(p.value - p.stated) / max(p.std, 1e-30) for p in parameters.values())
     if BY_NAME[h.name].form_of:
         parameters = dict(_as_low_pass(state.stated, k, p) for k, p in parameters.items())
@@ -83,6 +79,12 @@ def cause_of_trial(
         certainty,
         tuple(_against(state, trial)),
     )  # fmt: skip
+
+
+def _estimated(model: VehicleModel, key: str, off: float, std: float, tau: float) -> Estimated:
+    """Return a parameter that differs from the model file by `off`."""
+    stated = value(model, key)
+    return Estimated(stated + off, std, PARAMETERS[key].unit, stated, tau)
 
 
 def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, Estimated]:
@@ -125,20 +127,18 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
 
 
 def _as_stated(model: VehicleModel, key: str) -> Estimated:
-    x, tau = value(model, key), tolerance(model, key)
-    return Estimated(x, tau / math.sqrt(3.0), PARAMETERS[key].unit, x, tau)
+    tau = tolerance(model, key)
+    return _estimated(model, key, 0.0, tau / math.sqrt(3.0), tau)
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
     """Return the equations that show the parameters, selected by their share of the information."""
     if table is None:
         return ()
-    index = [i + 1 for i in table.index([k for k in keys if k in table.keys])]
-    size = table.tolerance[[i - 1 for i in index]] ** 2
-    shares = {
-        name: float((gram[:, index, index].sum(axis=0) * size).sum())
-        for name, gram in table.by_equation.items()
-    }
+    known = [k for k in keys if k in table.keys]
+    sizes = table.tolerance[table.index(known)]
+    own = [table.energy({k: float(x)}) for k, x in zip(known, sizes, strict=True)]
+    shares = {name: sum(float(e[name].sum()) for e in own) for name in table.by_equation}
     total = sum(shares.values())
     return tuple(name for name, x in shares.items() if total > 0.0 and x > SEEN_SHARE * total)
 
@@ -194,12 +194,9 @@ def _stated(model: VehicleModel, key: str) -> float:
 def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     """Return the cause for a zero error of the gyroscope at stops."""
     parameters = {
-        f"gyro.bias.{axis}": Estimated(
-            value(model, f"gyro.bias.{axis}") + float(x), float(se), "rad/s",
-            value(model, f"gyro.bias.{axis}"), PARAMETERS[f"gyro.bias.{axis}"].tolerance,
-        )
-        for axis, x, se in zip("xyz", rest.rate, rest.se, strict=True)
-    }  # fmt: skip
+        key: _estimated(model, key, float(x), float(se), PARAMETERS[key].tolerance)
+        for key, x, se in zip(GYRO_BIAS, rest.rate, rest.se, strict=True)
+    }
     few = ("the drives have only one or two stops",) if rest.stops < 3 else ()
     sigma = float(np.max(np.abs(rest.rate) / rest.se))
     beyond = float(np.max((np.abs(rest.rate) - rest.allowed(model)) / rest.se))
@@ -285,11 +282,10 @@ def _freed(state: State, name: str) -> dict[str, Estimated]:
     for t in state.last:
         if t.hypothesis.name != name or t.hypothesis.pattern is not None:
             continue
-        e, places = t.estimate, enumerate(t.hypothesis.keys)
-        for i, key in places:
-            stated = value(state.stated, key)
-            x, se, tau = float(e.value[i]), float(e.se[i]), float(t.tolerance[i])
-            made.setdefault(key, Estimated(stated + x, se, PARAMETERS[key].unit, stated, tau))
+        for key, *numbers in zip(
+            t.hypothesis.keys, t.estimate.value, t.estimate.se, t.tolerance, strict=True
+        ):
+            made.setdefault(key, _estimated(state.stated, key, *map(float, numbers)))
     return made
 
 

@@ -8,7 +8,7 @@ intervals are computed from these matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -135,9 +135,20 @@ class Table:
         """Number of blocks."""
         return len(self.gram)
 
-    def index(self, keys: Sequence[str]) -> list[int]:
+    def index(self, keys: Iterable[str]) -> list[int]:
         """Indices of keys."""
         return [self.keys.index(key) for key in keys]
+
+    def direction(self, along: Mapping[str, float]) -> Array:
+        """Return factors (P+1,) of the columns that change together. along: by parameter."""
+        made = np.zeros(1 + len(self.keys))
+        made[1 + np.array(self.index(along), dtype=int)] = list(along.values())
+        return made
+
+    def energy(self, along: Mapping[str, float]) -> dict[str, Array]:
+        """Return, by equation, the sum of squares (B,) of columns that change together."""
+        d = self.direction(along)
+        return {n: gram @ d @ d for n, gram in self.by_equation.items()}
 
 
 NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -287,9 +298,7 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
     for i in range(PASSES):
-        left = {n: (rows.y - rows.X @ free)[:, :, None] for n, rows in parts.items()}
-        left = levelled(left, tilts_of(parts))
-        weights = {n: noise_weights(left[n][:, :, 0], rows.good) for n, rows in parts.items()}
+        weights = weights_of(parts, free)
         gram = _gram(parts, weights)
         whole = np.asarray(sum(gram.values()))
         if i + 1 < PASSES:
@@ -339,6 +348,14 @@ def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str,
     return made | {n: a for n, a in rows.items() if n not in made}
 
 
+def weights_of(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
+    """Return the weights (B, K) of each equation with these parameters: (P,), or (B, P) of each
+    block."""
+    left = {n: r.y[:, :, None] - r.X @ x[..., None] for n, r in parts.items()}
+    left = levelled(left, tilts_of(parts))
+    return {n: noise_weights(y[:, :, 0], parts[n].good) for n, y in left.items()}
+
+
 def noise_weights(left: Array, good: Mask) -> Array:
     """Return the inverse of the noise as weights. The noise spectrum is the median over blocks.
     Noisy blocks get less weight."""
@@ -356,10 +373,16 @@ def noise_weights(left: Array, good: Mask) -> Array:
     return made
 
 
-def _rows(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """Return residual and columns times weights (B, K, P+1), with the tilt projected out."""
+def weighted(
+    parts: Mapping[str, Rows],
+    weights: Mapping[str, Array],
+    added: Mapping[str, Array] | None = None,
+) -> dict[str, Array]:
+    """Return residual, columns and added columns (B, K, E) times weights (B, K, 1 + P + E), with
+    the tilt projected out."""
     rows = {
-        n: np.concatenate([r.y[:, :, None], r.X], axis=2) * weights[n][:, :, None]
+        n: np.concatenate([r.y[:, :, None], r.X, *([added[n]] if added else [])], axis=2)
+        * weights[n][:, :, None]
         for n, r in parts.items()
     }
     return levelled(rows, tilts_of(parts, weights))
@@ -369,9 +392,8 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
     """Return Gram matrices in the equations' own units (squares per sample), in two frequency
     bands."""
     made: dict[str, Array] = {}
-    for n, a in _rows(
-        parts, {n: r.good[:, None].astype(np.float64) for n, r in parts.items()}
-    ).items():
+    good = {n: r.good[:, None].astype(np.float64) for n, r in parts.items()}
+    for n, a in weighted(parts, good).items():
         # Coefficient k of a block of T seconds lies at k / 2T.
         cut = max(1, round(2.0 * SLOW_BAND_HZ * parts[n].seconds))
         halves = [np.swapaxes(b, 1, 2) @ b for b in (a[:, :cut], a[:, cut:])]
@@ -381,7 +403,7 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
 
 def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
     """Return Gram matrices (B, P+1, P+1) by equation."""
-    return {n: np.swapaxes(a, 1, 2) @ a for n, a in _rows(parts, weights).items()}
+    return {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}
 
 
 # kept tables -------------------------------------------------------------------------------------

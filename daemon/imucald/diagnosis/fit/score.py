@@ -134,10 +134,7 @@ class Problem:
         if h.is_plain:
             low[index], high[index] = wide.T
             return gram, low, high
-        D = np.zeros((gram.shape[1], len(h.keys)))
-        for k, direction in enumerate(h.along):
-            for name, x in direction.items():
-                D[self.table.keys.index(name) + 1, k] = x
+        D = np.stack([self.table.direction(along) for along in h.along], axis=1)
         if h.directions:
             # The direction replaces the related parameters in the box.
             kin = {n for d in h.directions for n in d if family(n) == family(h.keys[0])}

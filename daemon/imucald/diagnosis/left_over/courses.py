@@ -10,7 +10,7 @@ tested, even if its value for the whole drive is correct.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -227,10 +227,7 @@ def gains_apart(left: Remains) -> Iterator[Answer]:
         if h.pattern is not None or any(key.split(".")[1] != "scale" for key in h.keys):
             continue
         for k, (key, error) in enumerate(zip(h.keys, left.problem.model_error(h), strict=True)):
-            d = np.zeros(z.shape[1])
-            for name, factor in h.along[k].items():
-                d[table.keys.index(name) + 1] = factor
-            x, variance = _own_values(table, d, z)
+            x, variance = _own_values(table, h.along[k], z)
             if len(x) < LEAST_SEGMENTS:
                 continue
             limit = EVENLY * (table.tolerance[table.keys.index(key)] + SD_95 * error)
@@ -239,11 +236,10 @@ def gains_apart(left: Remains) -> Iterator[Answer]:
             yield _answer(table, key, p, size, limit, text)
 
 
-def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
-    """Return the difference of each segment from the fit along a direction d (P+1,), and its
-    variance. The variance comes from the segment's own noise in each equation that shows the
-    direction."""
-    energy = {n: np.einsum("i,bij,j->b", d, g, d) for n, g in table.by_equation.items()}
+def _own_values(table: Table, along: Mapping[str, float], z: Array) -> tuple[Array, Array]:
+    """Return the difference of each segment from the fit along a direction, and its variance. The
+    variance comes from the segment's own noise in each equation that shows the direction."""
+    d, energy = table.direction(along), table.energy(along)
     total = sum(float(e.sum()) for e in energy.values())
     score, information, spread = np.zeros((3, table.blocks))
     for name, gram in table.by_equation.items():

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import level_effect
-from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
+from imucald.diagnosis.causes import ACCEL_BIAS, CAUSES, MODEL_ERROR, Cause, family
 from imucald.diagnosis.fit.blocks import NDArrayInt, Table
 from imucald.diagnosis.fit.intervals import Estimate, estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
@@ -29,7 +29,6 @@ FALSE_SHARE = 0.2
 """Share of the causes reported as likely that may be false: one in five."""
 RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
-BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
             beside = dict(cause.with_it)
             if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
                 made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
-            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
+            level = cause.name in LEVELLED and not set(ACCEL_BIAS) & set(skip)
             made.append(_hypothesis(cause, keys, model, table, level))
     return made
 
