@@ -8,7 +8,7 @@ intervals are computed from these matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -154,30 +154,6 @@ class Table:
 NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 
-class MadeLater(Mapping[str, Array]):
-    """Arrays by name that are made from the rows at the first access, because most tables of a
-    search are never accessed. nbytes: size of the rows [bytes]."""
-
-    def __init__(
-        self, names: Sequence[str], make: Callable[[], Mapping[str, Array]], nbytes: int
-    ) -> None:
-        self._names, self._make, self.nbytes = tuple(names), make, nbytes
-        self._made: Mapping[str, Array] | None = None
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._names:
-            raise KeyError(name)
-        if self._made is None:
-            self._made = self._make()
-        return self._made[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-
 @dataclass
 class Rows:
     """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
@@ -306,18 +282,10 @@ def _weighed(
             # A fit with implausible values is not accepted, even if it reduces the noise.
             free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
     keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
-    nbytes = sum(rows.X.nbytes for rows in parts.values())
-
-    def by_equation() -> Mapping[str, Array]:
-        return {n: g[keep] for n, g in _gram(parts, weights).items()}
-
-    def plain() -> Mapping[str, Array]:
-        return {n: g[keep] for n, g in _plain(parts).items()}
-
     return Table(
-        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes),
+        keys, whole[keep], {n: g[keep] for n, g in gram.items()},
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
-        next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
+        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
         levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
     )  # fmt: skip
 
@@ -404,36 +372,3 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
 def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
     """Return Gram matrices (B, P+1, P+1) by equation."""
     return {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}
-
-
-# kept tables -------------------------------------------------------------------------------------
-
-MOST_BYTES = 200_000_000
-"""Size limit of the stored rows and matrices [bytes]: about twenty tables of half an hour."""
-
-
-class KeptTables:
-    """Tables of the same drives with different model files. The tables used last are kept."""
-
-    def __init__(self) -> None:
-        self._kept: list[tuple[VehicleModel, Table, list[Forward]]] = []
-
-    def table_for(
-        self, drives: Sequence[DriveSignals], model: VehicleModel
-    ) -> tuple[Table, list[Forward]]:
-        """Return the table of a model file. A table that is not stored is made. drives: the same
-        drives in every call."""
-        for i, (known, table, forwards) in enumerate(self._kept):
-            if known == model:
-                self._kept.append(self._kept.pop(i))
-                return table, forwards
-        table, forwards = table_of(drives, model)
-        self._kept.append((model, table, forwards))
-        while len(self._kept) > 1 and sum(_nbytes(t) for _, t, _ in self._kept) > MOST_BYTES:
-            self._kept.pop(0)
-        return table, forwards
-
-
-def _nbytes(table: Table) -> int:
-    rows = table.plain.nbytes if isinstance(table.plain, MadeLater) else 0
-    return rows + table.gram.nbytes

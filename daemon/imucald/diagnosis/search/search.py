@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
@@ -279,34 +280,40 @@ def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
 
     Each of several look-alikes may be the true cause. If another look-alike alone predicts equally
     well and needs no further cause, the further cause is dropped."""
-    for first in list(state.named):
-        if first.hypothesis.pattern is not None:
+    for first, trial in permutations(list(state.named), 2):
+        rivals = [r for r in state.rivals.get(first.hypothesis.name, [])
+                  if r.hypothesis.pattern is None and _is_apart(r, trial)]  # fmt: skip
+        if first.hypothesis.pattern is not None or not rivals or not _is_apart(first, trial):
             continue
-        rivals = [t for t in state.rivals.get(first.hypothesis.name, [])
-                  if t.hypothesis.pattern is None]  # fmt: skip
-        for trial in [t for t in state.named if t is not first]:
-            h = trial.hypothesis
-            if set(h.keys) & set(first.hypothesis.keys) and h.pattern is None:
-                continue
-            for rival in rivals:
-                if late() or first not in state.named or trial not in state.named:
-                    break
-                if set(rival.hypothesis.keys) & set(h.keys) and h.pattern is None:
-                    continue
-                other = without(state, first)
-                if h.pattern is None:
-                    other = without(other, trial)
-                _take(other, other.evaluated(), rival)
-                refit(other)
-                less, whole = other.evaluated(), state.evaluated()
-                alone = held_out(less)
-                both = held_out(whole, None if h.pattern is None else on_table(h, whole.table))
-                behind, se = paired(alone, both, less.table.number, whole.table.number)
-                if behind > max(ALIKE_SE * se, trial.needed):
-                    continue
-                asked = on_table(h, less.table)
-                if not tried(less, asked, alone, max(len(state.last), 1)).named:
-                    set_aside(state, trial)
+        if late() or first not in state.named or trial not in state.named:
+            continue
+        less = without(state, first)
+        if trial.hypothesis.pattern is None:
+            less = without(less, trial)
+        if any(not late() and _explains(state, less, rival, trial) for rival in rivals):
+            set_aside(state, trial)
+
+
+def _is_apart(other: Trial, trial: Trial) -> bool:
+    """True if another cause does not free the same parameters. A drift is never the same."""
+    is_drift = trial.hypothesis.pattern is not None
+    return is_drift or not set(other.hypothesis.keys) & set(trial.hypothesis.keys)
+
+
+def _explains(state: State, less: State, rival: Trial, trial: Trial) -> bool:
+    """True if a rival predicts as well as all named causes, and the named cause `trial` would not
+    be named in addition to it. less: the state without `trial` and the cause of the rival."""
+    other = replace(less, changes=dict(less.changes), held=set(less.held), bounds=dict(less.bounds))
+    _take(other, other.evaluated(), rival)
+    refit(other)
+    problem, whole, h = other.evaluated(), state.evaluated(), trial.hypothesis
+    alone = held_out(problem)
+    both = held_out(whole, None if h.pattern is None else on_table(h, whole.table))
+    behind, se = paired(alone, both, problem.table.number, whole.table.number)
+    if behind > max(ALIKE_SE * se, trial.needed):
+        return False
+    asked = on_table(h, problem.table)
+    return not tried(problem, asked, alone, max(len(state.last), 1)).named
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:

@@ -19,7 +19,7 @@ from imucald.diagnosis.cause_keys import (
 )
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.blocks import KeptTables, Table
+from imucald.diagnosis.fit.blocks import Table, table_of
 from imucald.diagnosis.fit.intervals import estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.search.shift import FittedShift
@@ -72,8 +72,6 @@ class State:
     whole: Table | None = None
     """The table with all equations, including the equations in `left_out`."""
     forwards: list[Forward] = field(default_factory=list)
-    tables: KeptTables = field(default_factory=KeptTables)
-    """Tables that this state and the states derived from it have in common."""
     _evaluated: VehicleModel | None = None
 
     @property
@@ -95,7 +93,7 @@ class State:
     def evaluated(self) -> Problem:
         """Evaluate the drives with the present model."""
         if self.table is None or self._evaluated != self.model:
-            self.whole, self.forwards = self.tables.table_for(self.drives, self.model)
+            self.whole, self.forwards = table_of(self.drives, self.model)
             self.table = self.whole.without(self.left_out)
             self._evaluated = self.model
         return Problem.from_table(
