@@ -21,7 +21,7 @@ from imucald.diagnosis.cause_keys import (
 from imucald.diagnosis.causes import BY_NAME, GYRO_BIAS, PARAMETERS, family
 from imucald.diagnosis.direct.stops import Rest
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.fit.blocks import TAKES, Table
+from imucald.diagnosis.fit.blocks import EQUATIONS, Table
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.result import (
     OTHERWISE,
@@ -359,8 +359,9 @@ def of_signal(
 
 def _is_of(signal: str, equation: str) -> bool:
     """True if an equation predicts this signal, or one of its axes."""
-    measured = TAKES[equation] if equation == "speed" else TAKES[equation][:1]
-    return signal == equation or (signal not in TAKES and signal.startswith(measured))
+    takes = EQUATIONS[equation].takes
+    measured = takes if equation == "speed" else takes[:1]
+    return signal == equation or (signal not in EQUATIONS and signal.startswith(measured))
 
 
 def verdict_of(

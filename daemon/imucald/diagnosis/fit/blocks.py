@@ -26,17 +26,9 @@ BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
 FEW_S = 600.0
 """Total duration of all drives below which the drives are divided into short blocks [s], because
 intervals need several blocks."""
-TOP_HZ = 1.0
-SLOW_HZ = 0.1
-"""Upper frequency limit [Hz] of equations whose fast part comes from the road: the upward force,
-and the wheel speeds against the speed."""
-SLOW = ("accel_z", "speed")
-OF_SPEED = ("accel_x",)
 CARRIED = 0.4
 """Ratio of the highest frequency of a motion that a signal shows to the sample rate of the
 signal."""
-TILTED = ("accel_x", "accel_y")
-"""Equations that contain the tilt of a block."""
 LEAST_SHARE = 0.6
 """Share of a block's rows that must be present."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
@@ -46,16 +38,45 @@ SLOW_BAND_HZ = 0.2
 SMOOTH = 7
 """Number of spectral coefficients over which the noise spectrum is averaged."""
 PASSES = 3
-TAKES: Mapping[str, tuple[str, ...]] = {
-    "accel_x": ("accel", "gyro", "speed"), "accel_y": ("accel", "gyro", "yaw_rate"),
-    "accel_z": ("accel", "gyro"), "gyro_x": ("gyro", "accel"), "gyro_y": ("gyro", "accel"),
-    "gyro_z": ("gyro", "yaw_rate"), "yaw_rate": ("steering", "yaw_rate", "gyro"),
-    "lateral_accel": ("lateral_accel", "accel"),
-    "longitudinal_accel": ("longitudinal_accel", "accel"),
-    "speed": ("speed", "wheel_speeds"),
+
+
+@dataclass(frozen=True)
+class Equation:
+    """What the fit and the tests have to know of an equation."""
+
+    takes: tuple[str, ...]
+    """Signals whose sample rate limits the frequency band. The first signal is measured."""
+    zero: str = ""
+    """Zero error whose tolerance is the smallest amplitude of an oscillation that is reported."""
+    uses_speed: bool = False
+    """True if the speed is used too, but does not limit the frequency band."""
+    is_tilted: bool = False
+    """True if the equation contains the tilt of a block."""
+    top_hz: float = 1.0
+    """Upper frequency limit [Hz]. It is low if the fast part comes from the road: in the upward
+    force, and in the wheel speeds against the speed."""
+    shaken_from_hz: float = np.inf
+    """Lowest frequency [Hz] of the road's unevenness in the residual. Well below its resonances (1
+    Hz and more; Rajamani, ch. 10), the body follows the road. The only lateral effect of the road
+    is then the tilt of the body, and the gyroscope measures this tilt."""
+
+
+EQUATIONS: Mapping[str, Equation] = {
+    "accel_x": Equation(("accel", "gyro", "speed"), "accel.bias.x", is_tilted=True),
+    "accel_y": Equation(("accel", "gyro", "yaw_rate"), "accel.bias.y", uses_speed=True,
+                        is_tilted=True, shaken_from_hz=0.4),
+    "accel_z": Equation(("accel", "gyro"), "accel.bias.z", top_hz=0.1, shaken_from_hz=0.0),
+    "gyro_x": Equation(("gyro", "accel"), "gyro.bias.x", shaken_from_hz=0.0),
+    "gyro_y": Equation(("gyro", "accel"), "gyro.bias.y", shaken_from_hz=0.0),
+    "gyro_z": Equation(("gyro", "yaw_rate"), "gyro.bias.z"),
+    "yaw_rate": Equation(("steering", "yaw_rate", "gyro"), "yaw_rate.offset", uses_speed=True),
+    "lateral_accel": Equation(("lateral_accel", "accel"), "lateral_accel.offset",
+                              shaken_from_hz=0.4),
+    "longitudinal_accel": Equation(("longitudinal_accel", "accel"), "longitudinal_accel.offset"),
+    "speed": Equation(("speed", "wheel_speeds"), top_hz=0.1),
 }  # fmt: skip
-"""Signals whose sample rate limits the frequency band of an equation."""
-SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
+TILTED = tuple(name for name, equation in EQUATIONS.items() if equation.is_tilted)
+SENSED = tuple(dict.fromkeys(s for equation in EQUATIONS.values() for s in equation.takes))
 
 
 def late_signals(key: str, x: float) -> list[str]:
@@ -176,7 +197,7 @@ def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table
     rows = round(seconds / STEP_S)
     forwards = [Forward(drive, model, rows) for drive in drives]
     keys = _keys(drives)
-    top = {name: min(_top_hz(drive, name) for drive in drives) for name in TAKES}
+    top = {name: min(_top_hz(drive, name) for drive in drives) for name in EQUATIONS}
     parts = [rows_of(f, model, keys, top) for f in forwards]
     merged = {name: joined([part[name] for part in parts]) for name in parts[0]}
     blocks = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
@@ -196,11 +217,9 @@ def _keys(drives: Sequence[DriveSignals]) -> tuple[str, ...]:
 
 
 def _top_hz(drive: DriveSignals, equation: str) -> float:
-    periods = [drive.channels[n].period_s for n in TAKES[equation] if drive.has(n)]
-    if equation not in OF_SPEED and "speed" in TAKES[equation]:
-        periods.append(drive.channels["speed"].period_s)
-    top = SLOW_HZ if equation in SLOW else TOP_HZ
-    return min([top, *(CARRIED / p for p in periods)])
+    row = EQUATIONS[equation]
+    periods = [drive.channels[n].period_s for n in row.takes if drive.has(n)]
+    return min([row.top_hz, *(CARRIED / p for p in periods)])
 
 
 def _moving(f: Forward) -> Array:
