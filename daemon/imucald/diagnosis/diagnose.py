@@ -93,7 +93,7 @@ def diagnose(
     """
     report = progress or _silent
     began = time.process_time()
-    lost, faults, odd, parts, rest, state = _begun(drives, model, report)
+    faults, odd, parts, rest, state = _begun(drives, model, report)
     driven_s = float(sum(d.duration_s for d in parts))
     if limit_s is None:
         limit_s = max(LIMIT_S_PER_H * driven_s / 3600.0, LEAST_LIMIT_S)
@@ -105,13 +105,12 @@ def diagnose(
         steps[0] = min(steps[0] + 0.12, 0.75)
         report(steps[0], text)
 
-    tick("testing causes on data that their fit did not see")
     wrong = reported(AGAINST, forwards_before, partial(report, 0.15))
+    tick("testing causes on data that their fit did not see")
     if wrong:
         state.leave_out(unexplained(wrong), ())
     search(state, tick, late, GYRO_BIAS if rest else ())
-    gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *(wrong or left_over(state, partial(report, 0.8))))
+    left = (*odd, *(wrong or left_over(state, partial(report, 0.8))))
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
@@ -174,7 +173,6 @@ def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, floa
 def _begun(
     drives: Sequence[Samples], model: VehicleModel, report: Progress
 ) -> tuple[
-    list[dict[str, Lost]],
     list[list[Fault]],
     list[Structure],
     list[DriveSignals],
@@ -183,8 +181,8 @@ def _begun(
 ]:
     """Do all steps before the search.
 
-    Returns the lost readings of each drive, the faults of each drive, other structure in raw
-    values, the signals of each drive, the evidence of stops, and the initial state of the search.
+    Returns the faults of each drive, other structure in raw values, the signals of each drive, the
+    evidence of stops, and the initial state of the search.
     """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
@@ -195,7 +193,8 @@ def _begun(
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
     held = _signals(drives, faults, lost, held=True)
-    odd = reported(ODD, RawValues(held, model), partial(report, 0.05))
+    gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
+    odd = [*gone.values(), *reported(ODD, RawValues(held, model), partial(report, 0.05))]
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
@@ -206,7 +205,7 @@ def _begun(
     report(0.12, "forward model and residuals")
     estimate_unstated(state)
     _refuse_short(state.evaluated().table, faults)
-    return lost, faults, odd, parts, rest, state
+    return faults, odd, parts, rest, state
 
 
 def _signals(
