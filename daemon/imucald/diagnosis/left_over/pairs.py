@@ -347,6 +347,7 @@ def conditions(f: Forward) -> dict[str, Array]:
     if f.has_turning:
         made |= _of(_smooth(f.yaw_rate()), moves, "turning", *TO_ONE_SIDE)
     made |= {f"shaking in {x:g} s": shaken(f, x) for x in SHAKEN_S}
+    made[f"shaking in {MEMORY_S:g} s"] = _remembered(shaken(f, SHAKEN_S[0]))
     stamps = f.drive.channels["speed"].t
     made[STAMPS] = np.interp(f.t, stamps, off_cycle(stamps))
     ends = {name: np.quantile(x[moves], ENDS) for name, x in made.items()}
