@@ -21,12 +21,12 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.blocks import (
     BLOCK_S,
+    EQUATIONS,
     FEW_S,
     LEAST_SHARE,
     MOVING_MPS,
     MOVING_SHARE,
     SHORT_BLOCK_S,
-    TAKES,
     _top_hz,
     cosine,
     noise_weights,
@@ -160,4 +160,4 @@ class Ideal:
 
 
 def _tops(drive: DriveSignals) -> Mapping[str, float]:
-    return {name: _top_hz(drive, name) for name in TAKES}
+    return {name: _top_hz(drive, name) for name in EQUATIONS}

@@ -108,16 +108,6 @@ def test_of_several_drives_the_one_in_which_a_gain_jumps_is_told():
     assert "from 180 s of drive 2 on" in left.text
 
 
-def test_what_swings_is_seen_where_neighbours_do_not_agree():
-    """A period of 2.4 segments: nearly each is followed by one of the other sign."""
-    swing = 2.0 * TOLERANCE * np.sin(2.0 * np.pi * np.arange(BLOCKS) / 2.4)
-    left = found(problem(11, swing), "back and forth")
-    assert [s.parameter for s in left] == ["accel.bias.x"]
-    # Its rms, over that of what goes anywhere within its tolerance.
-    assert left[0].size == pytest.approx(np.sqrt(2.0) * np.sqrt(3.0), rel=0.1)
-    assert "every 72 s" in left[0].text
-
-
 def neighbours(x):
     return np.sum(x[:, 1:] * x[:, :-1], axis=1)
 

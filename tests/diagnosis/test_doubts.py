@@ -10,7 +10,7 @@ from imucald.core.samples import Samples, Series
 from imucald.diagnosis.cause_keys import mount_of, with_shifts
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt, unexplained
-from imucald.diagnosis.fit.blocks import TAKES, Table
+from imucald.diagnosis.fit.blocks import EQUATIONS, Table
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.outcome import signals_of
@@ -175,11 +175,11 @@ def test_what_is_certain_of_the_speed_stays_certain_where_the_accelerometer_is_u
         ("gyro", {"speed", "lateral_accel", "longitudinal_accel"}),
         ("speed", {"accel_z", "gyro_x", "gyro_y", "gyro_z", "lateral_accel",
                    "longitudinal_accel"}),
-        ("steering", set(TAKES) - {"yaw_rate"}),
+        ("steering", set(EQUATIONS) - {"yaw_rate"}),
     ],
 )  # fmt: skip
 def test_what_is_unexplained_leaves_the_equations_that_do_not_take_it(signal, rest):
-    assert set(TAKES) - unexplained([Structure(signal, Kind.UNEVEN, 2.0, "")]) == rest
+    assert set(EQUATIONS) - unexplained([Structure(signal, Kind.UNEVEN, 2.0, "")]) == rest
 
 
 @pytest.mark.slow

@@ -102,7 +102,7 @@ def shaken(s, R):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("put", "signal", "what"),
-    [(after_effect, "accel", ("the last acceleration", "accelerating")),
+    [(after_effect, "accel", ("the last hard acceleration", "accelerating")),
      (outer_wheel, "speed", ("sideways position",)),
      (shaken, "accel", ("shaking",)),
      (uneven_gain, "gyro", ("the direction of turning", "the amount of turning")),

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from imucald.diagnosis.fit.blocks import Table
-from imucald.diagnosis.fit.intervals import ERROR_RATE, Estimate
+from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired
 from imucald.diagnosis.search.search import _alike
 from imucald.diagnosis.search.trials import Trial, joined, likeliest, on_table, tried
+from imucald.diagnosis.signals import CHANCE
 
 BLOCKS = 40
 
@@ -71,7 +72,7 @@ def test_each_element_that_joins_others_is_one_more_question():
     single = [tried(problem, Hypothesis("accel_cross_axis", (k,), ({k: 1.0},)), base, 2)
               for k in keys]  # fmt: skip
     [both] = joined(problem, single, base)
-    assert both.needed == pytest.approx(np.log(3 / ERROR_RATE))
+    assert both.needed == pytest.approx(np.log(3 / CHANCE))
 
 
 def test_what_was_asked_of_other_blocks_is_compared_on_those_that_both_have():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from html_page import Page
-from imucald.report.contents import PLACE, with_contents
+from imucald.report.page import PLACE, with_contents
 from paths import ROOT
 
 TEMPLATES = ROOT / "daemon" / "imucald" / "report" / "templates"

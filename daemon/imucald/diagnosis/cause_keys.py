@@ -166,11 +166,8 @@ def model_error(model: VehicleModel, key: str) -> float:
 # writing -----------------------------------------------------------------------------------------
 
 
-def extended(
-    model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None
-) -> VehicleModel:
-    """Return the model file with changes applied. known_to: by key, the half width of the interval
-    that contains the true number."""
+def extended(model: VehicleModel, changes: Changes) -> VehicleModel:
+    """Return the model file with changes applied."""
     made: dict[str, Any] = {}
     R = mount_of(model)
     for name in TRIADS:
@@ -193,11 +190,6 @@ def extended(
     wheels = changes.get("wheel_speeds.scale", 0.0) + changes.get("speed.scale", 0.0)
     if wheels:
         made["wheel_speeds.scale"] = tuple(s + wheels for s in model.wheel_speeds.scale)
-    slip = changes.get("_tyre.rear_slip", 0.0)
-    if slip:
-        made["chassis.rear_cornering_stiffness_npr"] = _stiffness(model, slip)
-    if known_to:
-        made["known_to"] = {**model.known_to, **dict(known_to)}
     return model.with_changes(made)
 
 
@@ -301,12 +293,6 @@ def rear_slip(model: VehicleModel) -> float:
     / (L C_r) [s^2/m]."""
     c = model.chassis
     return c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
-
-
-def _stiffness(model: VehicleModel, change: float) -> float:
-    c = model.chassis
-    slip = max(rear_slip(model) + change, 2e-4)
-    return float(c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * slip))
 
 
 def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> VehicleModel:

@@ -202,8 +202,9 @@ def _each(prefix: str, names: Iterable[str]) -> tuple[tuple[str, ...], ...]:
     return tuple((f"{prefix}.{name}",) for name in names)
 
 
+ACCEL_BIAS, GYRO_BIAS = _keys("accel.bias"), _keys("gyro.bias")
 CAUSES: tuple[Cause, ...] = (
-    Cause("accel_bias", (_keys("accel.bias"),), "The accelerometer's zero is off.",
+    Cause("accel_bias", (ACCEL_BIAS,), "The accelerometer's zero is off.",
           "curves both ways and stops facing both ways on one slope"),
     Cause("accel_scale", _each("accel.scale", "012"),
           "The accelerometer's gain is off.", "hard braking and the sensor at rest on each side",
@@ -213,10 +214,10 @@ CAUSES: tuple[Cause, ...] = (
           "braking without curves and curves without braking", joins=True),
     Cause("accel_bias_temperature", (_keys("accel.bias_temperature"),),
           "The accelerometer's zero changes with its temperature.", "a cold and a warm start"),
-    Cause("accel_bias_drift", (_keys("accel.bias"),),
+    Cause("accel_bias_drift", (ACCEL_BIAS,),
           "The accelerometer's zero drifts during the drive.", "a longer drive, and a cold start",
           drift=True),
-    Cause("gyro_bias", (_keys("gyro.bias"),), "The gyroscope's zero is off.", "stops"),
+    Cause("gyro_bias", (GYRO_BIAS,), "The gyroscope's zero is off.", "stops"),
     Cause("gyro_scale", _each("gyro.scale", "012"),
           "The gyroscope's gain is off.", "steady circles, and a turn of known angle",
           together=_keys("gyro.scale", "012")),

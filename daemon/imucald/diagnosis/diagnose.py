@@ -18,15 +18,8 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.core.text import counted
 from imucald.diagnosis import outcome
-from imucald.diagnosis.cause_keys import (
-    extended,
-    mount_of,
-    usual_tolerance,
-    with_delay_rate,
-    with_low_passes,
-    with_shifts,
-)
-from imucald.diagnosis.causes import family
+from imucald.diagnosis.cause_keys import mount_of, usual_tolerance, with_low_passes
+from imucald.diagnosis.causes import GYRO_BIAS, family
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.levels import with_levels
 from imucald.diagnosis.direct.single_values import Lost, all_lost, as_structure
@@ -35,23 +28,26 @@ from imucald.diagnosis.direct.stuck import Fault
 from imucald.diagnosis.direct.successive import CHANGES, changes_of, follows, traits_of
 from imucald.diagnosis.doubts import doubt, unexplained
 from imucald.diagnosis.fit.blocks import Table
+from imucald.diagnosis.fit.chance import reported
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.adequacy import goes_against
 from imucald.diagnosis.left_over.louder import LEAVES
 from imucald.diagnosis.left_over.remains import Remains
-from imucald.diagnosis.left_over.table import left_over, odd_values
+from imucald.diagnosis.left_over.table import AGAINST, ODD, RawValues, left_over
 from imucald.diagnosis.pictures import pictures_of
-from imucald.diagnosis.result import Certainty, Diagnosis, FoundCause, Gain, Kind, Structure
+from imucald.diagnosis.result import (
+    UNBELIEVED,
+    Certainty,
+    Diagnosis,
+    FoundCause,
+    Gain,
+    Kind,
+    Structure,
+)
 from imucald.diagnosis.search.low_pass import low_passes
 from imucald.diagnosis.search.search import search
-from imucald.diagnosis.search.state import (
-    State,
-    estimate_unstated,
-    final_estimates,
-    shift_steps,
-)
+from imucald.diagnosis.search.state import State, estimate_unstated, final_estimates
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
 from imucald.model.model import VehicleModel
 
@@ -60,11 +56,8 @@ LIMIT_S_PER_H = 40.0
 """Limit of the search's processor time per hour of driving [s]. At this limit, the search ends with
 its present result. The steps after the search take up to 15 s more per hour of driving."""
 LEAST_LIMIT_S = 10.0
-GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
-UNBELIEVED = (Kind.GOES_AGAINST, Kind.TOO_MUCH)
-"""Kinds of left-over structure with which no fit is trusted."""
 NOT_AS_STATED = (
     Kind.LOUDER, Kind.COARSER, Kind.VALUES_MISSING, Kind.CHANGES_OTHERWISE, Kind.JUMPS_ALONE,
     Kind.FOLLOWS_OTHERWISE,
@@ -100,7 +93,7 @@ def diagnose(
     """
     report = progress or _silent
     began = time.process_time()
-    lost, faults, odd, parts, rest, state = _begun(drives, model, report)
+    faults, odd, parts, rest, state = _begun(drives, model, report)
     driven_s = float(sum(d.duration_s for d in parts))
     if limit_s is None:
         limit_s = max(LIMIT_S_PER_H * driven_s / 3600.0, LEAST_LIMIT_S)
@@ -112,13 +105,12 @@ def diagnose(
         steps[0] = min(steps[0] + 0.12, 0.75)
         report(steps[0], text)
 
+    wrong = reported(AGAINST, forwards_before, partial(report, 0.15))
     tick("testing causes on data that their fit did not see")
-    wrong = goes_against(forwards_before)
     if wrong:
         state.leave_out(unexplained(wrong), ())
     search(state, tick, late, GYRO_BIAS if rest else ())
-    gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    left = (*gone.values(), *odd, *(wrong or left_over(state, partial(report, 0.8))))
+    left = (*odd, *(wrong or left_over(state, partial(report, 0.8))))
     doubt(state, left, faults)
     problem = state.evaluated()
     causes = _certain_causes(state, rest if _shows_zero(left) else None, faults, model)
@@ -181,7 +173,6 @@ def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, floa
 def _begun(
     drives: Sequence[Samples], model: VehicleModel, report: Progress
 ) -> tuple[
-    list[dict[str, Lost]],
     list[list[Fault]],
     list[Structure],
     list[DriveSignals],
@@ -190,8 +181,8 @@ def _begun(
 ]:
     """Do all steps before the search.
 
-    Returns the lost readings of each drive, the faults of each drive, other structure in raw
-    values, the signals of each drive, the evidence of stops, and the initial state of the search.
+    Returns the faults of each drive, other structure in raw values, the signals of each drive, the
+    evidence of stops, and the initial state of the search.
     """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
@@ -202,7 +193,8 @@ def _begun(
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
     held = _signals(drives, faults, lost, held=True)
-    odd = odd_values(held, model, partial(report, 0.05))
+    gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
+    odd = [*gone.values(), *reported(ODD, RawValues(held, model), partial(report, 0.05))]
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
@@ -213,7 +205,7 @@ def _begun(
     report(0.12, "forward model and residuals")
     estimate_unstated(state)
     _refuse_short(state.evaluated().table, faults)
-    return lost, faults, odd, parts, rest, state
+    return faults, odd, parts, rest, state
 
 
 def _signals(
@@ -371,15 +363,8 @@ def _written(state: State, problem: Problem) -> VehicleModel:
         if key in table.keys:
             e = estimate(problem, Hypothesis("", (key,)), 1)
             known[key] = max(float(q * e.se[0]), HALF * usual_tolerance(state.stated, key))
-    if not (state.changes or state.at_rest or state.unstated) and state.shift is None:
-        return state.stated
-    changes = {**state.at_rest}
-    for key, x in state.changes.items():
-        changes[key] = changes.get(key, 0.0) + x
-    middle = state.forwards[0].middle_s
-    written = extended(state.stated, with_delay_rate(changes, middle), known)
-    written = with_low_passes(written, state.stated, low_passes(state))
-    return written if state.shift is None else with_shifts(written, shift_steps(state.shift))
+    written = with_low_passes(state.model, state.stated, low_passes(state))
+    return written.with_changes({"known_to": {**written.known_to, **known}}) if known else written
 
 
 def _notes(

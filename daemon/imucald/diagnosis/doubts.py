@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imucald.core.arrays import Array
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.fit.blocks import SENSED, TAKES, TILTED, Table
+from imucald.diagnosis.fit.blocks import EQUATIONS, SENSED, TILTED, Table
 from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
 from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.search import leave_out, unsettle
@@ -26,15 +25,6 @@ and gains seem to wander, because the fit follows a rotation only to first order
 segment."""
 
 
-USES = {
-    **TAKES,
-    "accel_y": (*TAKES["accel_y"], "speed"),
-    "yaw_rate": (*TAKES["yaw_rate"], "speed"),
-}
-"""Signals that each equation uses. These signals are the signals of `TAKES`, which limit its
-frequency band, and the speed, where an equation uses the speed without such a limit."""
-
-
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
     """Withdraw each named cause that left-over structure, a fault or a low-pass filter may
     explain."""
@@ -44,7 +34,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     # A cause is missing there, and fitted gains and zeros absorb its effect. A delay still shows in
     # the timing.
     impossible = [s for s in left if s.kind == Kind.NOT_PLAUSIBLE]
-    shifted |= {name for s in impossible for name in TAKES[s.signal]}
+    shifted |= {name for s in impossible for name in EQUATIONS[s.signal].takes}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
     missing = max((t.shown for t in state.implausible), default=0.0)
@@ -74,7 +64,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
             return clocks_differ
         # If the largest values are lost, the remaining ones are a biased sample, and a slope fitted
         # to them is wrong (truncated regression; Hausman and Wise 1977).
-        sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
+        sensors = {s for name in signals_of(state.table, keys) for s in EQUATIONS[name].takes}
         return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
     if state.shift is not None and any(s.kind in NO_STEP for s in left):
@@ -99,11 +89,16 @@ def unexplained(left: Sequence[Structure]) -> set[str]:
     speed counts only in comparisons with another speed."""
     signals: set[str] = set()
     for s in left:
-        if s.signal in TAKES:
-            signals |= {x for x in TAKES[s.signal] if x != "speed" or s.signal == "speed"}
+        if s.signal in EQUATIONS:
+            takes = EQUATIONS[s.signal].takes
+            signals |= {x for x in takes if x != "speed" or s.signal == "speed"}
         else:
             signals |= {x for x in SENSED if s.signal.startswith(x)}
-    made = {name for name, uses in USES.items() if signals & set(uses)}
+    made = {
+        name
+        for name, equation in EQUATIONS.items()
+        if signals & set(equation.takes) or (equation.uses_speed and "speed" in signals)
+    }
     # The forward and sideways force equations share the estimate of gravity.
     return made | (set(TILTED) if made & set(TILTED) else set())
 
@@ -118,23 +113,13 @@ def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, f
     h = trial.hypothesis
     if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False
-    gains = h.directions or tuple({key: 1.0} for key in h.keys)
-    own = {n: max(_energy(g, table, d) for d in gains) for n, g in table.by_equation.items()}
+    gains = [table.energy(along) for along in h.along]
+    own = {n: max(float(e[n].sum()) for e in gains) for n in table.by_equation}
     missing = 0.0
     for key, x in delays.items():
-        if key not in table.keys:
-            continue
-        for name, size in own.items():
-            if size > SEEN_SHARE * sum(own.values()):
-                both = _energy(table.by_equation[name], table, {key: 1.0})
-                missing = max(missing, 0.5 * x * x * both / size)
+        late = table.energy({key: x}) if key in table.keys else {}
+        for name, energy in late.items():
+            if own[name] > SEEN_SHARE * sum(own.values()):
+                missing = max(missing, 0.5 * float(energy.sum()) / own[name])
     v = np.abs(trial.estimate.value)
     return bool(np.all(v <= trial.tolerance + missing))
-
-
-def _energy(gram: Array, table: Table, direction: Mapping[str, float]) -> float:
-    """Return the sum of squares of a column, or of several columns with fixed ratios, from Gram
-    matrices (B, ., .)."""
-    index = [1 + i for i in table.index(tuple(direction))]
-    x = np.array(list(direction.values()))
-    return float(x @ gram.sum(axis=0)[np.ix_(index, index)] @ x)

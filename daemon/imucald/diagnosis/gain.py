@@ -13,24 +13,12 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import TILTED, Table
-from imucald.diagnosis.fit.score import Problem, fitted, folds, losses
+from imucald.diagnosis.fit.score import Problem, fitted_by_fold, losses
 from imucald.diagnosis.result import Gain, SignalGain
 
 Z95 = 1.959964
 WORSE_SE = 2.0
 LEFT_SE = 3.0
-
-
-def found_by_fold(problem: Problem, free: Sequence[str]) -> Array:
-    """Return differences (B, P) of the found parameters. The values of each block come from a fit
-    without the fold of the block."""
-    table = problem.table
-    index = table.index([k for k in free if k in table.keys])
-    made = np.zeros((table.blocks, len(table.keys)))
-    for out in folds(table.blocks) if index else ():
-        x = fitted(table.gram[~out], problem.low, problem.high)
-        made[np.ix_(np.flatnonzero(out), np.array(index))] = x[index]
-    return made
 
 
 def gain_of(
@@ -47,7 +35,8 @@ def gain_of(
     the equations that no fit uses. held_out: (B,) nats of causes that are not in `free`, from fits
     that did not use the block; None without such causes."""
     table = after.table
-    x = found_by_fold(after, free)
+    # Only the found parameters differ from the written file.
+    x = fitted_by_fold(after) * np.isin(table.keys, free)
     signals, worse = {}, []
     left = _left(forwards)
     for name in table.plain:

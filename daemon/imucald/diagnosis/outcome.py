@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,13 +18,14 @@ from imucald.diagnosis.cause_keys import (
     tolerance,
     value,
 )
-from imucald.diagnosis.causes import BY_NAME, PARAMETERS, family
+from imucald.diagnosis.causes import BY_NAME, GYRO_BIAS, PARAMETERS, family
 from imucald.diagnosis.direct.stops import Rest
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.fit.blocks import TAKES, Table
+from imucald.diagnosis.fit.blocks import EQUATIONS, Table
+from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.result import (
-    EQUALLY_WELL,
     OTHERWISE,
+    UNBELIEVED,
     Candidate,
     Certainty,
     Estimated,
@@ -40,9 +41,11 @@ from imucald.diagnosis.search.trials import LEVELLED, SINGLE_NATS, Trial, questi
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-MISSING = (Kind.NOT_PLAUSIBLE, Kind.TOO_MUCH, Kind.GOES_AGAINST)
+MISSING = (Kind.NOT_PLAUSIBLE, *UNBELIEVED)
 """Kinds of structure that contradict the model: a cause is missing, with or without direct
 evidence."""
+FEW_BLOCKS = 20
+"""Number of segments below which the number is an argument against a cause."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
 
@@ -50,7 +53,7 @@ SEEN_SHARE = 0.02
 def cause_of_trial(
     state: State,
     trial: Trial,
-    estimates: Mapping[str, tuple[float, float, float]],
+    estimates: Mapping[str, tuple[float, float]],
     certainty: Certainty = "certain",
 ) -> FoundCause:
     """Return a cause that the fit named, or a cause that is likely."""
@@ -62,12 +65,8 @@ def cause_of_trial(
             continue
         x = float(trial.estimate.value[i])
         change = state.changes.get(key, x) if h.pattern is None else x
-        change, se, _ = estimates.get(key, (change, float(trial.estimate.se[i]), 0.0))
-        stated = value(state.stated, key)
-        row = PARAMETERS[key]
-        parameters[key] = Estimated(
-            stated + change, se, row.unit, stated, float(trial.tolerance[i])
-        )
+        change, se = estimates.get(key, (change, float(trial.estimate.se[i])))
+        parameters[key] = _estimated(state.stated, key, change, se, float(trial.tolerance[i]))
     sd = max(abs(p.value - p.stated) / max(p.std, 1e-30) for p in parameters.values())
     if BY_NAME[h.name].form_of:
         parameters = dict(_as_low_pass(state.stated, k, p) for k, p in parameters.items())
@@ -80,6 +79,12 @@ def cause_of_trial(
         certainty,
         tuple(_against(state, trial)),
     )  # fmt: skip
+
+
+def _estimated(model: VehicleModel, key: str, off: float, std: float, tau: float) -> Estimated:
+    """Return a parameter that differs from the model file by `off`."""
+    stated = value(model, key)
+    return Estimated(stated + off, std, PARAMETERS[key].unit, stated, tau)
 
 
 def _as_low_pass(model: VehicleModel, key: str, late: Estimated) -> tuple[str, Estimated]:
@@ -122,20 +127,18 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
 
 
 def _as_stated(model: VehicleModel, key: str) -> Estimated:
-    x, tau = value(model, key), tolerance(model, key)
-    return Estimated(x, tau / math.sqrt(3.0), PARAMETERS[key].unit, x, tau)
+    tau = tolerance(model, key)
+    return _estimated(model, key, 0.0, tau / math.sqrt(3.0), tau)
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
     """Return the equations that show the parameters, selected by their share of the information."""
     if table is None:
         return ()
-    index = [i + 1 for i in table.index([k for k in keys if k in table.keys])]
-    size = table.tolerance[[i - 1 for i in index]] ** 2
-    shares = {
-        name: float((gram[:, index, index].sum(axis=0) * size).sum())
-        for name, gram in table.by_equation.items()
-    }
+    known = [k for k in keys if k in table.keys]
+    sizes = table.tolerance[table.index(known)]
+    own = [table.energy({k: float(x)}) for k, x in zip(known, sizes, strict=True)]
+    shares = {name: sum(float(e[name].sum()) for e in own) for name in table.by_equation}
     total = sum(shares.values())
     return tuple(name for name, x in shares.items() if total > 0.0 and x > SEEN_SHARE * total)
 
@@ -146,8 +149,8 @@ def first_signal(table: Table | None, keys: Sequence[str]) -> str:
 
 
 def _against(state: State, trial: Trial) -> list[str]:
-    """Return the arguments against a cause: single blocks, a value that wanders, rivals, few
-    segments."""
+    """Return the arguments against a cause: single blocks, a value that wanders, few segments.
+    `look_alikes` has its rivals."""
     texts = []
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
@@ -158,14 +161,9 @@ def _against(state: State, trial: Trial) -> list[str]:
             texts.append(
                 f"{key} moves by {_with_unit(f'{wander:.2g}', key)} between quarters of the data"
             )
-    rivals = state.rivals.get(trial.hypothesis.name, [])
-    if rivals:
-        names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
-        texts.append(f"{names}{EQUALLY_WELL}")
-    if trial.hypothesis.pattern is None and state.table is not None:
-        few = state.table.blocks < 20
-        if few:
-            texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
+    is_plain = trial.hypothesis.pattern is None
+    if is_plain and state.table is not None and state.table.blocks < FEW_BLOCKS:
+        texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
     return texts
 
 
@@ -196,12 +194,9 @@ def _stated(model: VehicleModel, key: str) -> float:
 def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     """Return the cause for a zero error of the gyroscope at stops."""
     parameters = {
-        f"gyro.bias.{axis}": Estimated(
-            value(model, f"gyro.bias.{axis}") + float(x), float(se), "rad/s",
-            value(model, f"gyro.bias.{axis}"), PARAMETERS[f"gyro.bias.{axis}"].tolerance,
-        )
-        for axis, x, se in zip("xyz", rest.rate, rest.se, strict=True)
-    }  # fmt: skip
+        key: _estimated(model, key, float(x), float(se), PARAMETERS[key].tolerance)
+        for key, x, se in zip(GYRO_BIAS, rest.rate, rest.se, strict=True)
+    }
     few = ("the drives have only one or two stops",) if rest.stops < 3 else ()
     sigma = float(np.max(np.abs(rest.rate) / rest.se))
     beyond = float(np.max((np.abs(rest.rate) - rest.allowed(model)) / rest.se))
@@ -287,11 +282,10 @@ def _freed(state: State, name: str) -> dict[str, Estimated]:
     for t in state.last:
         if t.hypothesis.name != name or t.hypothesis.pattern is not None:
             continue
-        e, places = t.estimate, enumerate(t.hypothesis.keys)
-        for i, key in places:
-            stated = value(state.stated, key)
-            x, se, tau = float(e.value[i]), float(e.se[i]), float(t.tolerance[i])
-            made.setdefault(key, Estimated(stated + x, se, PARAMETERS[key].unit, stated, tau))
+        for key, *numbers in zip(
+            t.hypothesis.keys, t.estimate.value, t.estimate.se, t.tolerance, strict=True
+        ):
+            made.setdefault(key, _estimated(state.stated, key, *map(float, numbers)))
     return made
 
 
@@ -305,9 +299,8 @@ def _n(x: float) -> str:
     return f"{x:.2g}"
 
 
-def implausible(state: State) -> tuple[Structure, ...]:
-    """Return explanations that fit the numbers but are physically implausible."""
-    made = []
+def implausible(state: State) -> Iterator[Answer]:
+    """Yield explanations that fit the numbers but are physically implausible."""
     for t in state.implausible:
         i = int(np.argmax(np.abs(t.estimate.value) / np.abs(t.plausible).max(axis=1)))
         key = t.hypothesis.keys[i]
@@ -321,8 +314,8 @@ def implausible(state: State) -> tuple[Structure, ...]:
             f"but {'may be more than is' if t.is_plausible else 'is not'} physically plausible "
             f"({low:.3g} to {high:.3g} is): a cause is missing"
         )
-        made.append(Structure(signal, Kind.NOT_PLAUSIBLE, float(t.estimate.quantile), text))
-    return tuple(made)
+        yield Answer(signal, float(t.estimate.quantile), 0.0, 0.0, text,
+                     shown=float(t.estimate.quantile))  # fmt: skip
 
 
 def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
@@ -366,8 +359,9 @@ def of_signal(
 
 def _is_of(signal: str, equation: str) -> bool:
     """True if an equation predicts this signal, or one of its axes."""
-    measured = TAKES[equation] if equation == "speed" else TAKES[equation][:1]
-    return signal == equation or (signal not in TAKES and signal.startswith(measured))
+    takes = EQUATIONS[equation].takes
+    measured = takes if equation == "speed" else takes[:1]
+    return signal == equation or (signal not in EQUATIONS and signal.startswith(measured))
 
 
 def verdict_of(

@@ -140,13 +140,9 @@ class Gain:
     """False if nothing was fitted. Facts that were read directly change no prediction."""
 
 
-EQUALLY_WELL = " explains data that was not used for the fit equally well"
-"""End of the sentence about other causes that explain such data too."""
-
-
 class Kind(StrEnum):
     """Kinds of structure that no cause of the catalogue explains; `left_over.table` has the
-    questions. With the first two, no fit is trusted."""
+    questions."""
 
     GOES_AGAINST = "goes against the model"  # the opposite sign of the prediction
     TOO_MUCH = "too much is left"
@@ -166,6 +162,10 @@ class Kind(StrEnum):
     JUMPS_ALONE = "single values jump"
     VALUE_HELD = "a value is held"
     READINGS_LOST = "readings are lost"  # readings with one invalid value, which are not used
+
+
+UNBELIEVED = (Kind.GOES_AGAINST, Kind.TOO_MUCH)
+"""Kinds of left-over structure with which no fit is trusted."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from imucald.core.text import duration
 from imucald.diagnosis.result import Diagnosis, SignalPicture
 from imucald.report import numbers, titles
 from imucald.report import wording as words
-from imucald.report.contents import with_contents
 from imucald.report.model_changes import as_diff, shown_changes
 
 if TYPE_CHECKING:
@@ -30,6 +29,9 @@ SEPARATORS = (".", "_")
 """Characters after which a long key may be broken."""
 MAX_ROWS = 200
 """Largest number of rows in a table or list."""
+PLACE = '<nav class="contents" aria-label="Contents"></nav>'
+"""Placeholder for the contents list in a template."""
+HEADING = re.compile(r"<h2>(.*?)</h2>", re.S)
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,27 @@ def environment() -> Environment:
     return environment
 
 
+def with_contents(body: str) -> str:
+    """Add an anchor to each section heading of a page, and insert the list of these anchors at
+    `PLACE`. body: the page's HTML text with escaped content."""
+    links: list[str] = []
+    names: set[str] = set()
+
+    def anchored(match: re.Match[str]) -> str:
+        title = match[1]
+        name = base = re.sub(r"\W+", "-", re.sub(r"<[^>]*>|&\w+;", "", title).lower()).strip("-")
+        while name in names:
+            name = f"{base}-{len(names)}"
+        names.add(name)
+        links.append(f'<li><a href="#{name}">{title}</a></li>')
+        return f'<h2 id="{name}">{title}</h2>'
+
+    text = HEADING.sub(anchored, body)
+    listed = "\n".join(links)
+    filled = PLACE.replace("></nav>", f">\n<ul>\n{listed}\n</ul>\n</nav>")
+    return text.replace(PLACE, filled, 1)
+
+
 def _breakable(key: str) -> str:
     """Allow line breaks in a dotted key after its dots and underscores."""
     from markupsafe import Markup, escape  # noqa: PLC0415 - an extra
@@ -138,7 +161,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             f"{numbers.number(best.rms_after)} {unit}",
         ))  # fmt: skip
     if diagnosis.causes:
-        figures.append(("Extended model file", *words.advice_in_short(diagnosis)))
+        figures.append(("Extended model file", *words.advice(diagnosis)))
     figures.append(("Data", duration(diagnosis.duration_s), "diagnosed"))
     return figures
 

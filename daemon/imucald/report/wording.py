@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from imucald.diagnosis.causes import BY_NAME
 from imucald.diagnosis.result import (
-    EQUALLY_WELL,
     OTHERWISE,
+    UNBELIEVED,
     Candidate,
     Diagnosis,
     Estimated,
@@ -109,12 +109,11 @@ def ways_apart(group: Sequence[str]) -> list[str]:
 def against(cause: FoundCause, diagnosis: Diagnosis) -> list[str]:
     """Return the arguments against a cause. The texts contain the titles of other causes that fit
     as well."""
-    texts = [_with_rivals(typographic(text)) for text in cause.against]
-    if not any(text.endswith(EQUALLY_WELL) for text in cause.against):
-        groups = [g for g in diagnosis.look_alikes if cause.name in g]
-        others = dict.fromkeys(cause_title(n) for g in groups for n in g if n != cause.name)
-        if others:
-            texts.append(f"{few_of([*others], 'and')} fit{'s' if len(others) == 1 else ''} as well")
+    texts = [typographic(text) for text in cause.against]
+    groups = [g for g in diagnosis.look_alikes if cause.name in g]
+    others = dict.fromkeys(cause_title(n) for g in groups for n in g if n != cause.name)
+    if others:
+        texts.append(f"{few_of([*others], 'and')} fit{'s' if len(others) == 1 else ''} as well")
     return texts
 
 
@@ -144,15 +143,6 @@ def for_prediction_only(diagnosis: Diagnosis) -> str:
     return f"one of {count} causes that fit equally well"
 
 
-def _with_rivals(text: str) -> str:
-    if not text.endswith(EQUALLY_WELL):
-        return text
-    names = text.removesuffix(EQUALLY_WELL).split(" and ")
-    rivals = few_of([cause_title(name.replace(" ", "_")) for name in names], "and")
-    verb = "explains" if len(names) == 1 else "explain"
-    return f"{rivals} {verb}{EQUALLY_WELL.removeprefix(' explains')}"
-
-
 def how_sure(cause: FoundCause, diagnosis: Diagnosis) -> str:
     """Return the certainty of a cause in one word: certain, likely, or ambiguous (other causes fit
     as well)."""
@@ -169,7 +159,9 @@ def look_alike_groups(diagnosis: Diagnosis) -> dict[tuple[str, ...], tuple[str, 
 def verdict(diagnosis: Diagnosis) -> Words:
     """Return the verdict of the diagnosis and its certainty."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
-    tail = _advice(diagnosis) + _likely(diagnosis) + _incomplete(diagnosis)
+    tail = _likely(diagnosis) + _incomplete(diagnosis)
+    if diagnosis.causes:
+        tail = f" The extended model file {': '.join(advice(diagnosis))}." + tail
     if diagnosis.verdict == "found":
         count = f"{_counted(len(titles))} certain."
         return Words(f"Found: {in_series(titles)}", count + _left(diagnosis) + tail)
@@ -224,43 +216,27 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     return Words(headline, text + tail)
 
 
-def _advice(diagnosis: Diagnosis) -> str:
-    """Return a sentence that states whether the user should use the extended model file."""
-    if not diagnosis.causes:
-        return ""
+def advice(diagnosis: Diagnosis) -> tuple[str, str]:
+    """Return whether the user should use the extended model file: the end of a sentence that begins
+    with "The extended model file", and the reason."""
+    if not model_changes(diagnosis.model_before, diagnosis.model_after):
+        return "is unchanged", "the model file has no key for the found causes"
     if diagnosis.recommended and not diagnosis.gain.was_fitted:
-        return (
-            " The extended model file adds values that were read directly from samples and "
-            "stops. They do not change its predictions."
+        return "contains the found values", (
+            "the values were read directly from samples and stops and change no prediction"
         )
     if diagnosis.recommended and (why := for_prediction_only(diagnosis)):
-        return f" The extended model file is for prediction only: it contains {why}."
+        return "is for prediction only", f"it contains {why}"
     if diagnosis.recommended:
-        return " The extended model file predicts better on data that its fit did not see: use it."
-    if {s.kind for s in diagnosis.structure} & {Kind.GOES_AGAINST, Kind.TOO_MUCH}:
-        return (
-            " The extended model file is not recommended: the model does not explain "
-            f"{_where(diagnosis)}."
-        )
-    if diagnosis.gain.worse:
+        return "predicts better, use it", "it was tested on data that its fit did not see"
+    if any(s.kind in UNBELIEVED for s in diagnosis.structure):
+        why = f"the model does not explain {_where(diagnosis)}"
+    elif diagnosis.gain.worse:
         names = in_series([signal_title(n) for n in diagnosis.gain.worse])
-        return f" The extended model file is not recommended: it predicts {names} worse."
-    if not diagnosis.gain.was_fitted:
-        return " The model file does not change."
-    return " The extended model file is not recommended: it does not predict held-out data better."
-
-
-def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Return the advice about the extended model file in short form: the advice, and its reason."""
-    if not model_changes(diagnosis.model_before, diagnosis.model_after):
-        return "unchanged", "the model file has no key for the found causes"
-    if not diagnosis.recommended:
-        return "not recommended", "the reason is the gain on data not used for the fit"
-    if not diagnosis.gain.was_fitted:
-        return "contains the found values", "the values were read directly and change no prediction"
-    if why := for_prediction_only(diagnosis):
-        return "for prediction only", why
-    return "use it", "the reason is the gain on data not used for the fit"
+        why = f"it predicts {names} worse"
+    else:
+        why = "it does not predict held-out data better"
+    return "is not recommended", why
 
 
 def _likely(diagnosis: Diagnosis) -> str:

@@ -85,8 +85,6 @@ class Forward(Reader):
         measurements is uncorrelated with their difference, and the equation contains this
         difference. tilt: (B, 2) tilt of each block, from `tilts`.
         """
-        if "accel_x" not in base.of or self.rows < 1:
-            return np.ones(self.blocks)
         left = np.where(masks["accel_x"], _without(base, tilt)["accel_x"], 0.0)
         count = max(1, int(2.0 * self.rows * STEP_S * top_hz))
         power = (dct(left, type=2, axis=1, norm="ortho")[:, :count] ** 2).sum(axis=1) / self.rows

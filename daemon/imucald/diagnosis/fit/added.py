@@ -18,10 +18,9 @@ from imucald.diagnosis.fit.blocks import (
     Table,
     cosine,
     joined,
-    levelled,
-    noise_weights,
     rows_of,
-    tilts_of,
+    weighted,
+    weights_of,
 )
 from imucald.model.model import VehicleModel
 
@@ -83,12 +82,4 @@ def whitened(parts: Mapping[str, AddedRows], x: Array) -> dict[str, Array]:
     tilt is removed. x: (B, P) parameter differences that fit each block."""
     rows = {n: joined([r for r, _ in own]) for n, own in parts.items()}
     columns = {n: np.concatenate([c for _, c in own]) for n, own in parts.items()}
-    whole = {n: np.concatenate([r.y[:, :, None], r.X, columns[n]], axis=2) for n, r in rows.items()}
-    P = x.shape[1]
-    left = {n: a[:, :, :1] - a[:, :, 1 : P + 1] @ x[:, :, None] for n, a in whole.items()}
-    weights = {
-        n: noise_weights(y[:, :, 0], rows[n].good)
-        for n, y in levelled(left, tilts_of(rows)).items()
-    }
-    weighted = {n: a * weights[n][:, :, None] for n, a in whole.items()}
-    return levelled(weighted, tilts_of(rows, weights))
+    return weighted(rows, weights_of(rows, x), columns)

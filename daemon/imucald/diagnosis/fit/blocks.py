@@ -8,7 +8,7 @@ intervals are computed from these matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,17 +26,9 @@ BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
 FEW_S = 600.0
 """Total duration of all drives below which the drives are divided into short blocks [s], because
 intervals need several blocks."""
-TOP_HZ = 1.0
-SLOW_HZ = 0.1
-"""Upper frequency limit [Hz] of equations whose fast part comes from the road: the upward force,
-and the wheel speeds against the speed."""
-SLOW = ("accel_z", "speed")
-OF_SPEED = ("accel_x",)
 CARRIED = 0.4
 """Ratio of the highest frequency of a motion that a signal shows to the sample rate of the
 signal."""
-TILTED = ("accel_x", "accel_y")
-"""Equations that contain the tilt of a block."""
 LEAST_SHARE = 0.6
 """Share of a block's rows that must be present."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
@@ -46,16 +38,45 @@ SLOW_BAND_HZ = 0.2
 SMOOTH = 7
 """Number of spectral coefficients over which the noise spectrum is averaged."""
 PASSES = 3
-TAKES: Mapping[str, tuple[str, ...]] = {
-    "accel_x": ("accel", "gyro", "speed"), "accel_y": ("accel", "gyro", "yaw_rate"),
-    "accel_z": ("accel", "gyro"), "gyro_x": ("gyro", "accel"), "gyro_y": ("gyro", "accel"),
-    "gyro_z": ("gyro", "yaw_rate"), "yaw_rate": ("steering", "yaw_rate", "gyro"),
-    "lateral_accel": ("lateral_accel", "accel"),
-    "longitudinal_accel": ("longitudinal_accel", "accel"),
-    "speed": ("speed", "wheel_speeds"),
+
+
+@dataclass(frozen=True)
+class Equation:
+    """What the fit and the tests have to know of an equation."""
+
+    takes: tuple[str, ...]
+    """Signals whose sample rate limits the frequency band. The first signal is measured."""
+    zero: str = ""
+    """Zero error whose tolerance is the smallest amplitude of an oscillation that is reported."""
+    uses_speed: bool = False
+    """True if the speed is used too, but does not limit the frequency band."""
+    is_tilted: bool = False
+    """True if the equation contains the tilt of a block."""
+    top_hz: float = 1.0
+    """Upper frequency limit [Hz]. It is low if the fast part comes from the road: in the upward
+    force, and in the wheel speeds against the speed."""
+    shaken_from_hz: float = np.inf
+    """Lowest frequency [Hz] of the road's unevenness in the residual. Well below its resonances (1
+    Hz and more; Rajamani, ch. 10), the body follows the road. The only lateral effect of the road
+    is then the tilt of the body, and the gyroscope measures this tilt."""
+
+
+EQUATIONS: Mapping[str, Equation] = {
+    "accel_x": Equation(("accel", "gyro", "speed"), "accel.bias.x", is_tilted=True),
+    "accel_y": Equation(("accel", "gyro", "yaw_rate"), "accel.bias.y", uses_speed=True,
+                        is_tilted=True, shaken_from_hz=0.4),
+    "accel_z": Equation(("accel", "gyro"), "accel.bias.z", top_hz=0.1, shaken_from_hz=0.0),
+    "gyro_x": Equation(("gyro", "accel"), "gyro.bias.x", shaken_from_hz=0.0),
+    "gyro_y": Equation(("gyro", "accel"), "gyro.bias.y", shaken_from_hz=0.0),
+    "gyro_z": Equation(("gyro", "yaw_rate"), "gyro.bias.z"),
+    "yaw_rate": Equation(("steering", "yaw_rate", "gyro"), "yaw_rate.offset", uses_speed=True),
+    "lateral_accel": Equation(("lateral_accel", "accel"), "lateral_accel.offset",
+                              shaken_from_hz=0.4),
+    "longitudinal_accel": Equation(("longitudinal_accel", "accel"), "longitudinal_accel.offset"),
+    "speed": Equation(("speed", "wheel_speeds"), top_hz=0.1),
 }  # fmt: skip
-"""Signals whose sample rate limits the frequency band of an equation."""
-SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
+TILTED = tuple(name for name, equation in EQUATIONS.items() if equation.is_tilted)
+SENSED = tuple(dict.fromkeys(s for equation in EQUATIONS.values() for s in equation.takes))
 
 
 def late_signals(key: str, x: float) -> list[str]:
@@ -135,36 +156,23 @@ class Table:
         """Number of blocks."""
         return len(self.gram)
 
-    def index(self, keys: Sequence[str]) -> list[int]:
+    def index(self, keys: Iterable[str]) -> list[int]:
         """Indices of keys."""
         return [self.keys.index(key) for key in keys]
 
+    def direction(self, along: Mapping[str, float]) -> Array:
+        """Return factors (P+1,) of the columns that change together. along: by parameter."""
+        made = np.zeros(1 + len(self.keys))
+        made[1 + np.array(self.index(along), dtype=int)] = list(along.values())
+        return made
+
+    def energy(self, along: Mapping[str, float]) -> dict[str, Array]:
+        """Return, by equation, the sum of squares (B,) of columns that change together."""
+        d = self.direction(along)
+        return {n: gram @ d @ d for n, gram in self.by_equation.items()}
+
 
 NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
-
-
-class MadeLater(Mapping[str, Array]):
-    """Arrays by name that are made from the rows at the first access, because most tables of a
-    search are never accessed. nbytes: size of the rows [bytes]."""
-
-    def __init__(
-        self, names: Sequence[str], make: Callable[[], Mapping[str, Array]], nbytes: int
-    ) -> None:
-        self._names, self._make, self.nbytes = tuple(names), make, nbytes
-        self._made: Mapping[str, Array] | None = None
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._names:
-            raise KeyError(name)
-        if self._made is None:
-            self._made = self._make()
-        return self._made[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 @dataclass
@@ -189,7 +197,7 @@ def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table
     rows = round(seconds / STEP_S)
     forwards = [Forward(drive, model, rows) for drive in drives]
     keys = _keys(drives)
-    top = {name: min(_top_hz(drive, name) for drive in drives) for name in TAKES}
+    top = {name: min(_top_hz(drive, name) for drive in drives) for name in EQUATIONS}
     parts = [rows_of(f, model, keys, top) for f in forwards]
     merged = {name: joined([part[name] for part in parts]) for name in parts[0]}
     blocks = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
@@ -209,11 +217,9 @@ def _keys(drives: Sequence[DriveSignals]) -> tuple[str, ...]:
 
 
 def _top_hz(drive: DriveSignals, equation: str) -> float:
-    periods = [drive.channels[n].period_s for n in TAKES[equation] if drive.has(n)]
-    if equation not in OF_SPEED and "speed" in TAKES[equation]:
-        periods.append(drive.channels["speed"].period_s)
-    top = SLOW_HZ if equation in SLOW else TOP_HZ
-    return min([top, *(CARRIED / p for p in periods)])
+    row = EQUATIONS[equation]
+    periods = [drive.channels[n].period_s for n in row.takes if drive.has(n)]
+    return min([row.top_hz, *(CARRIED / p for p in periods)])
 
 
 def _moving(f: Forward) -> Array:
@@ -287,9 +293,7 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     free = np.zeros(len(keys))
     for i in range(PASSES):
-        left = {n: (rows.y - rows.X @ free)[:, :, None] for n, rows in parts.items()}
-        left = levelled(left, tilts_of(parts))
-        weights = {n: noise_weights(left[n][:, :, 0], rows.good) for n, rows in parts.items()}
+        weights = weights_of(parts, free)
         gram = _gram(parts, weights)
         whole = np.asarray(sum(gram.values()))
         if i + 1 < PASSES:
@@ -297,18 +301,10 @@ def _weighed(
             # A fit with implausible values is not accepted, even if it reduces the noise.
             free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
     keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
-    nbytes = sum(rows.X.nbytes for rows in parts.values())
-
-    def by_equation() -> Mapping[str, Array]:
-        return {n: g[keep] for n, g in _gram(parts, weights).items()}
-
-    def plain() -> Mapping[str, Array]:
-        return {n: g[keep] for n, g in _plain(parts).items()}
-
     return Table(
-        keys, whole[keep], MadeLater(list(gram), by_equation, nbytes),
+        keys, whole[keep], {n: g[keep] for n, g in gram.items()},
         start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
-        next(iter(parts.values())).seconds, MadeLater(list(parts), plain, nbytes),
+        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
         levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
     )  # fmt: skip
 
@@ -339,6 +335,14 @@ def levelled(rows: Mapping[str, Array], tilts: Mapping[str, Array]) -> dict[str,
     return made | {n: a for n, a in rows.items() if n not in made}
 
 
+def weights_of(parts: Mapping[str, Rows], x: Array) -> dict[str, Array]:
+    """Return the weights (B, K) of each equation with these parameters: (P,), or (B, P) of each
+    block."""
+    left = {n: r.y[:, :, None] - r.X @ x[..., None] for n, r in parts.items()}
+    left = levelled(left, tilts_of(parts))
+    return {n: noise_weights(y[:, :, 0], parts[n].good) for n, y in left.items()}
+
+
 def noise_weights(left: Array, good: Mask) -> Array:
     """Return the inverse of the noise as weights. The noise spectrum is the median over blocks.
     Noisy blocks get less weight."""
@@ -356,10 +360,16 @@ def noise_weights(left: Array, good: Mask) -> Array:
     return made
 
 
-def _rows(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """Return residual and columns times weights (B, K, P+1), with the tilt projected out."""
+def weighted(
+    parts: Mapping[str, Rows],
+    weights: Mapping[str, Array],
+    added: Mapping[str, Array] | None = None,
+) -> dict[str, Array]:
+    """Return residual, columns and added columns (B, K, E) times weights (B, K, 1 + P + E), with
+    the tilt projected out."""
     rows = {
-        n: np.concatenate([r.y[:, :, None], r.X], axis=2) * weights[n][:, :, None]
+        n: np.concatenate([r.y[:, :, None], r.X, *([added[n]] if added else [])], axis=2)
+        * weights[n][:, :, None]
         for n, r in parts.items()
     }
     return levelled(rows, tilts_of(parts, weights))
@@ -369,9 +379,8 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
     """Return Gram matrices in the equations' own units (squares per sample), in two frequency
     bands."""
     made: dict[str, Array] = {}
-    for n, a in _rows(
-        parts, {n: r.good[:, None].astype(np.float64) for n, r in parts.items()}
-    ).items():
+    good = {n: r.good[:, None].astype(np.float64) for n, r in parts.items()}
+    for n, a in weighted(parts, good).items():
         # Coefficient k of a block of T seconds lies at k / 2T.
         cut = max(1, round(2.0 * SLOW_BAND_HZ * parts[n].seconds))
         halves = [np.swapaxes(b, 1, 2) @ b for b in (a[:, :cut], a[:, cut:])]
@@ -381,37 +390,4 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
 
 def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
     """Return Gram matrices (B, P+1, P+1) by equation."""
-    return {n: np.swapaxes(a, 1, 2) @ a for n, a in _rows(parts, weights).items()}
-
-
-# kept tables -------------------------------------------------------------------------------------
-
-MOST_BYTES = 200_000_000
-"""Size limit of the stored rows and matrices [bytes]: about twenty tables of half an hour."""
-
-
-class KeptTables:
-    """Tables of the same drives with different model files. The tables used last are kept."""
-
-    def __init__(self) -> None:
-        self._kept: list[tuple[VehicleModel, Table, list[Forward]]] = []
-
-    def table_for(
-        self, drives: Sequence[DriveSignals], model: VehicleModel
-    ) -> tuple[Table, list[Forward]]:
-        """Return the table of a model file. A table that is not stored is made. drives: the same
-        drives in every call."""
-        for i, (known, table, forwards) in enumerate(self._kept):
-            if known == model:
-                self._kept.append(self._kept.pop(i))
-                return table, forwards
-        table, forwards = table_of(drives, model)
-        self._kept.append((model, table, forwards))
-        while len(self._kept) > 1 and sum(_nbytes(t) for _, t, _ in self._kept) > MOST_BYTES:
-            self._kept.pop(0)
-        return table, forwards
-
-
-def _nbytes(table: Table) -> int:
-    rows = table.plain.nbytes if isinstance(table.plain, MadeLater) else 0
-    return rows + table.gram.nbytes
+    return {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}

@@ -17,11 +17,10 @@ from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.result import Structure
+from imucald.diagnosis.signals import CHANCE
 
 Tick = Callable[[str], None]
 """Function that is called with the text of the present step."""
-FALSE_SHARE = 0.01
-"""False-discovery rate of the reports. If nothing is wrong, this is the chance of any report."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,9 @@ def reported(rows: Iterable[Row], evidence: Any, tick: Tick, apart: str = "") ->
 
 def beyond_chance(asked: Iterable[Answer]) -> list[Structure]:
     """Return the structures to report: large effects whose chance is at most a certain level. The
-    level is the largest level at which the expected number of false reports is 1 % of all reports
-    at this level. For each signal and kind, only the most certain structure is reported.
+    level is the largest level at which the expected number of false reports is 1 % (`CHANCE`) of
+    all reports at this level. If nothing is wrong, this is the chance of any report. For each
+    signal and kind, only the most certain structure is reported.
 
     At a level a, the chance of a false report of the i-th question is at most min(a, chance that
     its effect looks large). The sum of these chances divided by the number of reports is the
@@ -127,7 +127,7 @@ def beyond_chance(asked: Iterable[Answer]) -> list[Structure]:
     may = np.array([a.rare for a in answers])
     sure = 0
     for k, a in enumerate(large, start=1):
-        if float(np.minimum(may, a.p).sum()) <= k * FALSE_SHARE:
+        if float(np.minimum(may, a.p).sum()) <= k * CHANCE:
             sure = k
     for a in large[:sure]:
         found.setdefault((a.signal, a.kind), a.structure)

@@ -14,9 +14,6 @@ from imucald.diagnosis.fit.box import RIDGE
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.signals import CHANCE
 
-ERROR_RATE = CHANCE
-"""Chance that any cause of a drive is named falsely."""
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -35,21 +32,11 @@ class Estimate:
     wander: Array
     """Scatter between quarters of the data in addition to chance."""
 
-    @property
-    def low(self) -> Array:
-        """Lower ends of the intervals."""
-        return np.asarray(self.value - self.quantile * self.se)
-
-    @property
-    def high(self) -> Array:
-        """Upper ends of the intervals."""
-        return np.asarray(self.value + self.quantile * self.se)
-
 
 def quantile(blocks: int, questions: int) -> float:
     """Return the two-sided quantile of Student's t, corrected for the number of questions
     (Bonferroni)."""
-    return float(student.ppf(1.0 - ERROR_RATE / (2.0 * max(questions, 1)), max(blocks - 1, 1)))
+    return float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), max(blocks - 1, 1)))
 
 
 def estimate(

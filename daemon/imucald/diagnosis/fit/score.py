@@ -36,7 +36,7 @@ class Hypothesis:
     """The freed parameters. They are reported."""
     directions: tuple[Mapping[str, float], ...] = ()
     """For each key, the parameters that change with it and their factors; empty: only the keys
-    change."""
+    change (`along`)."""
     lead: int = 0
     """Number of first keys of which at least one must leave its tolerance; 0: any key is enough."""
     pattern: Array | None = None
@@ -45,9 +45,14 @@ class Hypothesis:
     """Error of the equations in this hypothesis; None: the smallest error among its parameters."""
 
     @property
+    def along(self) -> tuple[Mapping[str, float], ...]:
+        """For each key, all parameters that change with it, and their factors."""
+        return self.directions or tuple({key: 1.0} for key in self.keys)
+
+    @property
     def moved(self) -> set[str]:
         """The keys and all parameters that change with them."""
-        return {k for d in self.directions for k in d} or set(self.keys)
+        return {k for d in self.along for k in d}
 
     @property
     def is_plain(self) -> bool:
@@ -88,10 +93,8 @@ class Problem:
             return np.zeros(len(h.keys))
         if h.error is not None:
             return np.full(len(h.keys), h.error)
-        if h.directions:
-            together = [[k for k, x in d.items() if x == 1.0] for d in h.directions]
-            return np.array([min(errors[self.table.index(keys)]) for keys in together])
-        return np.asarray(errors[self.table.index(h.keys)])
+        together = [[k for k, x in d.items() if x == 1.0] for d in h.along]
+        return np.array([min(errors[self.table.index(keys)]) for keys in together])
 
     def widened(self, h: Hypothesis | None) -> tuple[Array, Array, Array]:
         """Return Gram matrices (B, Q+1, Q+1) and bounds (Q,) with a hypothesis's parameters
@@ -131,10 +134,7 @@ class Problem:
         if h.is_plain:
             low[index], high[index] = wide.T
             return gram, low, high
-        D = np.zeros((gram.shape[1], len(h.keys)))
-        for k, key in enumerate(h.keys):
-            for name, x in (h.directions[k] if h.directions else {key: 1.0}).items():
-                D[self.table.keys.index(name) + 1, k] = x
+        D = np.stack([self.table.direction(along) for along in h.along], axis=1)
         if h.directions:
             # The direction replaces the related parameters in the box.
             kin = {n for d in h.directions for n in d if family(n) == family(h.keys[0])}
@@ -167,8 +167,8 @@ class Problem:
             h = replace(h, keys=tuple(only))
         x, own = self.fit(h), self.own(h)
         made: dict[str, float] = {}
-        for k, key in enumerate(h.keys):
-            for name, factor in (h.directions[k] if h.directions else {key: 1.0}).items():
+        for k, direction in enumerate(h.along):
+            for name, factor in direction.items():
                 made[name] = made.get(name, 0.0) + factor * float(x[own[k]])
         return made
 
@@ -182,11 +182,8 @@ def folds(blocks: int) -> Iterator[Mask]:
 def losses(gram: Array, x: Array) -> Array:
     """Return half of the squared residual of each block (B,). x: (Q,) parameters, or (B, Q) of each
     block."""
-    if x.ndim == 1:
-        z = np.concatenate([[1.0], -x])
-        return np.asarray(0.5 * (gram @ z @ z))
-    rows = np.insert(-x, 0, 1.0, axis=1)
-    return np.asarray(0.5 * np.einsum("bi,bij,bj->b", rows, gram, rows))
+    z = np.insert(-np.atleast_2d(x), 0, 1.0, axis=1)
+    return np.asarray(0.5 * np.sum((gram @ z[:, :, None])[:, :, 0] * z, axis=1))
 
 
 def fitted(gram: Array, low: Array, high: Array) -> Array:
@@ -195,29 +192,21 @@ def fitted(gram: Array, low: Array, high: Array) -> Array:
     return box_fit(total[1:, 1:], total[1:, 0], low, high)
 
 
-def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
-    """Return the loss (B,) of each block, from a fit that did not use the fold of the block."""
+def fitted_by_fold(problem: Problem, h: Hypothesis | None = None) -> Array:
+    """Return parameters (B, Q). The values of each block come from a fit that did not use the fold
+    of the block."""
     gram, low, high = problem.widened(h)
     total, whole = gram.sum(axis=0), problem.fit(h)
-    lost = np.empty(len(gram))
+    made = np.empty((len(gram), len(low)))
     for out in folds(len(gram)):
         rest = total - gram[out].sum(axis=0)
-        x = box_fit(rest[1:, 1:], rest[1:, 0], low, high, whole)
-        lost[out] = losses(gram[out], x)
-    return lost
+        made[out] = box_fit(rest[1:, 1:], rest[1:, 0], low, high, whole)
+    return made
 
 
-def what_leaves(problem: Problem, drift: Hypothesis | None) -> Array:
-    """Return coefficients (B, P+1) that turn the rows of each segment into its residual, after a
-    fit of all parameters in their box. drift: a named drift, which has no place in the model file
-    and is therefore fitted here."""
-    table, x = problem.table, problem.fit(drift)
-    own = len(table.keys)
-    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
-    if drift is not None and drift.pattern is not None:
-        for key, slope in zip(drift.keys, x[own:], strict=True):
-            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
-    return z
+def held_out(problem: Problem, h: Hypothesis | None = None) -> Array:
+    """Return the loss (B,) of each block, from a fit that did not use the fold of the block."""
+    return losses(problem.widened(h)[0], fitted_by_fold(problem, h))
 
 
 def one_in_fifteen(blocks: int) -> int:

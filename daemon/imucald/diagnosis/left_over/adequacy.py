@@ -1,8 +1,7 @@
 """Test the residuals after the search, without a known cause.
 
-The four tests find a residual that is too large, a common motion in the residuals of two equations
-without a common sensor, a line in a spectrum, and signals with the opposite sign of their
-prediction.
+The tests find signals with the opposite sign of their prediction, a residual that is too large, a
+common motion in the residuals of two equations without a common sensor, and a line in a spectrum.
 """
 
 from __future__ import annotations
@@ -16,24 +15,22 @@ from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
-from imucald.diagnosis.fit.blocks import CARRIED, OF_SPEED, TAKES, NDArrayInt, late_signals
+from imucald.diagnosis.fit.blocks import CARRIED, EQUATIONS, NDArrayInt, late_signals
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import losses, one_in_fifteen
-from imucald.diagnosis.left_over.remains import DRIVEN, Remains, Spectra
-from imucald.diagnosis.result import Kind, Structure
+from imucald.diagnosis.left_over.remains import DRIVEN, LEAST_SEGMENTS, Remains, Spectra
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, STEP_S, Mask
 
-OPPOSITE = -0.4
-"""Correlation of a signal with its prediction below which a sign is wrong."""
+OPPOSITE = 0.4
+"""Negative correlation of a signal with its prediction above which a sign is wrong."""
 LEAST_ROWS = 300
-LEAST_BLOCKS = 10
 HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
-PAIRS = (("accel_y", "yaw_rate"),)
-"""Pairs of equations without a common sensor, if gyroscope and yaw rate are both present."""
+PAIR = "accel_y", "yaw_rate"
+"""Equations without a common sensor, if gyroscope and yaw rate are both present."""
 AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
 """Lateral acceleration from the air, per square of the speed and per angle of attack [1/m]: half
 the density, 2.2 m^2, 2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road
@@ -61,20 +58,11 @@ NEAR, FAR = 3, 9
 """Nearest and farthest frequency bin on each side with which a line is compared. The bins are
 outside the spread of a Hann window, and near enough to follow the spectrum's slope (0.1 to 0.3 Hz
 in segments of 30 s)."""
-ZEROS: Mapping[str, str] = {
-    "accel_x": "accel.bias.x", "accel_y": "accel.bias.y", "accel_z": "accel.bias.z",
-    "gyro_x": "gyro.bias.x", "gyro_y": "gyro.bias.y", "gyro_z": "gyro.bias.z",
-    "yaw_rate": "yaw_rate.offset", "lateral_accel": "lateral_accel.offset",
-    "longitudinal_accel": "longitudinal_accel.offset",
-}  # fmt: skip
-"""Zero error of each equation whose tolerance is the limit of an oscillation: a smaller oscillation
-is not reported."""
 
 
-def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
-    """Return the signals that have the opposite sign of their prediction. The reason is a wrong
-    sign in the configuration."""
-    found = []
+def goes_against(forwards: Sequence[Forward]) -> Iterator[Answer]:
+    """Test for signals that have the opposite sign of their prediction. The reason is a wrong sign
+    in the configuration."""
     f = max(forwards, key=lambda f: f.blocks)
     measured, masks = f.measured(), f.usable()
     residual = f.level(f.residuals({}), masks)
@@ -89,10 +77,8 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
         if np.std(y) == 0.0 or np.std(p) == 0.0:
             continue
         r = float(np.corrcoef(y, p)[0, 1])
-        if r < OPPOSITE:
-            text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
-            found.append(Structure(name, Kind.GOES_AGAINST, abs(r), text))
-    return found
+        text = f"measured and predicted values have opposite signs (correlation {r:.2f})"
+        yield Answer(name, -r, OPPOSITE, 0.0, text, shown=-r)
 
 
 def too_much(left: Remains) -> Iterator[Answer]:
@@ -153,30 +139,30 @@ def shared(left: Remains) -> Iterator[Answer]:
     v = np.concatenate([f.drive.knots.values for f in forwards])
     calm, fast = _calm(v), float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 2)))
     hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
-    for first, second in PAIRS:
-        if not {first, second, "_steering"} <= set(spectra):
-            continue
-        known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)
-        a, b = spectra[first], spectra[second]
-        good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
-        if good.sum() < LEAST_BLOCKS:
-            continue
-        bands = [(hz >= x) & (hz < y) for x, y in BANDS_HZ]
-        pushed = [_common(a[good], b[good], known[good], band) for band in bands]
-        turned = [_common(fast * b[good], a[good], known[good], band) for band in bands]
-        sure = [share for share, _, chance in pushed if share > chance]
-        total = max(
-            float(np.sqrt(sum(moved**2 for share, moved, chance in each if share > chance)))
-            for each in (pushed, turned)
-        )
-        share = max(sure, default=0.0)
-        text = (
-            f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz, up to {100 * share:.0f} "
-            f"% of the residual ({total:.2g} m/s^2) is also in the residual of "
-            f"{second.replace('_', ' ')}, although they have no sensor in common: "
-            "something moves the vehicle that speed and steering do not show"
-        )
-        yield Answer(first, total, calm, CHANCE, text, shown=share)
+    first, second = PAIR
+    if not {first, second, "_steering"} <= set(spectra):
+        return
+    known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)
+    a, b = spectra[first], spectra[second]
+    good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
+    if good.sum() < LEAST_SEGMENTS:
+        return
+    bands = [(hz >= x) & (hz < y) for x, y in BANDS_HZ]
+    pushed = [_common(a[good], b[good], known[good], band) for band in bands]
+    turned = [_common(fast * b[good], a[good], known[good], band) for band in bands]
+    sure = [share for share, _, chance in pushed if share > chance]
+    total = max(
+        float(np.sqrt(sum(moved**2 for share, moved, chance in each if share > chance)))
+        for each in (pushed, turned)
+    )
+    share = max(sure, default=0.0)
+    text = (
+        f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz, up to {100 * share:.0f} "
+        f"% of the residual ({total:.2g} m/s^2) is also in the residual of "
+        f"{second.replace('_', ' ')}, although they have no sensor in common: "
+        "something moves the vehicle that speed and steering do not show"
+    )
+    yield Answer(first, total, calm, CHANCE, text, shown=share)
 
 
 def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
@@ -240,28 +226,28 @@ def lines(left: Remains) -> Iterator[Answer]:
     whole band. A narrower line has another source: a fan, a pump, or a supply ripple.
     """
     spectra = left.spectra
-    for name, tau in ZEROS.items():
-        if name not in spectra or not set(DRIVEN) <= set(spectra):
+    for name, equation in EQUATIONS.items():
+        if not equation.zero or name not in spectra or not set(DRIVEN) <= set(spectra):
             continue
         known = np.stack([spectra[each] for each in DRIVEN], axis=2)
         z = spectra[name]
         good = np.isfinite(z[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
-        if good.sum() < LEAST_BLOCKS:
+        if good.sum() < LEAST_SEGMENTS:
             continue
         z = left_of_known(z[good], known[good])
         hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
         asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, left.state))
         for s, low, high in cut_offs(left.state.changes):
-            if s in TAKES[name]:
+            if s in equation.takes:
                 asked &= (hz < low) | (hz > high)
         if asked.any():
-            yield _of_line(name, z, hz, np.flatnonzero(asked), PARAMETERS[tau].tolerance)
+            yield _of_line(name, z, hz, np.flatnonzero(asked), PARAMETERS[equation.zero].tolerance)
 
 
 def _to_hz(name: str, state: State) -> float:
     """Return the upper frequency for an equation [Hz]. For the equation with the slope of the
     speed, the sample rate of the speed limits this frequency."""
-    if name not in OF_SPEED:
+    if "speed" not in EQUATIONS[name].takes:
         return BAND_HZ[1]
     return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
 

@@ -10,7 +10,7 @@ tested, even if its value for the whole drive is correct.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -23,7 +23,7 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import one_in_fifteen
-from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.left_over.remains import LEAST_SEGMENTS, Remains
 from imucald.diagnosis.outcome import SEEN_SHARE, first_signal
 from imucald.diagnosis.search.trials import hypotheses
 from imucald.mount.mount_words import SD_95
@@ -46,10 +46,6 @@ the next level."""
 MOST_LEVELS = 8
 """Largest number of levels. With this number, chances down to 1e-8 can be computed, which is less
 than any family of questions needs."""
-LEAST_WAVES = 3
-"""Smallest number of oscillations within a drive. A parameter with fewer oscillations counts as
-wandering."""
-LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
 """Ratio of the standard deviation of a uniform distribution within a tolerance to this
 tolerance."""
@@ -90,7 +86,7 @@ class Course:
 def by_course(left: Remains) -> Iterator[Answer]:
     """Yield one answer for each parameter and row of `COURSES`."""
     table, z, drift = left.table, left.z, left.drift
-    if table.blocks < LEAST_BLOCKS:
+    if table.blocks < LEAST_SEGMENTS:
         return
     for j, key in enumerate(table.keys):
         h = table.gram[:, j + 1, j + 1]
@@ -140,42 +136,6 @@ def _near(x: Scores, lag: int) -> Course:
     )  # fmt: skip
 
 
-def _swing(x: Scores) -> Course | None:
-    """Test whether the parameter oscillates, with the strongest of all waves.
-
-    If a parameter oscillates as A cos(w t), the expectation of sum s_b e^(i w t) is A/2 sum h_b.
-    Each drive has its own phase.
-    """
-    table, hz = x.table, _frequencies(x.table)
-    if not len(hz):
-        return None
-    apart = np.eye(int(table.drive.max()) + 1)[table.drive]
-    waves = np.exp(2j * np.pi * np.outer(table.start_s, hz))
-    image = (apart[:, :, None] * waves[:, None, :]).reshape(table.blocks, -1)
-
-    def power(z: Array) -> Array:
-        """Return the power (N, F) of the sums along the waves (N, D F), summed over the drives."""
-        return np.asarray((np.abs(z.reshape(len(z), -1, len(hz))) ** 2).sum(axis=1))
-
-    own, info = power((x.s @ image)[None])[0], float(np.sum((x.h @ apart) ** 2)) / 2.0
-    noise = max(float(x.s @ x.s), 1e-300)
-    # By chance, a wave's power is exponentially distributed with the sum of squares as its mean.
-    return Course(
-        image, lambda z: np.asarray(power(z).max(axis=1)), float(np.sqrt(own.max() / info)),
-        lambda limit: len(hz) * float(np.exp(-(limit**2) * info / noise)),
-        f"changes back and forth by {{}} every {1.0 / hz[own.argmax()]:.0f} s, or faster than "
-        "segments can show",
-    )  # fmt: skip
-
-
-def _frequencies(table: Table) -> Array:
-    """Return the frequencies (F,) of waves that repeat within a drive [Hz]. The largest is one wave
-    per two segments."""
-    last = [float(np.ptp(table.start_s[table.drive == d])) for d in np.unique(table.drive)]
-    whole = max(last) + table.seconds
-    return np.arange(LEAST_WAVES, int(whole / (2.0 * table.seconds)) + 1) / whole
-
-
 def _step(x: Scores) -> Course | None:
     """Test whether the parameter has another value from some moment on. The known patterns are
     fitted too."""
@@ -207,7 +167,7 @@ def _moment(table: Table, segment: int) -> str:
 
 
 COURSES: tuple[tuple[Callable[[Scores], Course | None], float], ...] = (
-    *((partial(_near, lag=lag), EVENLY) for lag in LAGS), (_swing, EVENLY), (_step, EITHER_SIDE),
+    *((partial(_near, lag=lag), EVENLY) for lag in LAGS), (_step, EITHER_SIDE),
 )  # fmt: skip
 """Each pattern with the number of tolerances that a correct model file may cause. For a random
 change this is the standard deviation of values within the tolerance, for a step the distance
@@ -267,11 +227,8 @@ def gains_apart(left: Remains) -> Iterator[Answer]:
         if h.pattern is not None or any(key.split(".")[1] != "scale" for key in h.keys):
             continue
         for k, (key, error) in enumerate(zip(h.keys, left.problem.model_error(h), strict=True)):
-            d = np.zeros(z.shape[1])
-            for name, factor in (h.directions[k] if h.directions else {key: 1.0}).items():
-                d[table.keys.index(name) + 1] = factor
-            x, variance = _own_values(table, d, z)
-            if len(x) < LEAST_BLOCKS:
+            x, variance = _own_values(table, h.along[k], z)
+            if len(x) < LEAST_SEGMENTS:
                 continue
             limit = EVENLY * (table.tolerance[table.keys.index(key)] + SD_95 * error)
             size, p = _scatter(x, variance, limit)
@@ -279,11 +236,10 @@ def gains_apart(left: Remains) -> Iterator[Answer]:
             yield _answer(table, key, p, size, limit, text)
 
 
-def _own_values(table: Table, d: Array, z: Array) -> tuple[Array, Array]:
-    """Return the difference of each segment from the fit along a direction d (P+1,), and its
-    variance. The variance comes from the segment's own noise in each equation that shows the
-    direction."""
-    energy = {n: np.einsum("i,bij,j->b", d, g, d) for n, g in table.by_equation.items()}
+def _own_values(table: Table, along: Mapping[str, float], z: Array) -> tuple[Array, Array]:
+    """Return the difference of each segment from the fit along a direction, and its variance. The
+    variance comes from the segment's own noise in each equation that shows the direction."""
+    d, energy = table.direction(along), table.energy(along)
     total = sum(float(e.sum()) for e in energy.values())
     score, information, spread = np.zeros((3, table.blocks))
     for name, gram in table.by_equation.items():

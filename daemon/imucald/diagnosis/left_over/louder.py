@@ -29,18 +29,13 @@ from imucald.diagnosis.fit.beside_file import (
     beside_file,
     in_both,
 )
+from imucald.diagnosis.fit.blocks import EQUATIONS
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import one_in_fifteen
 from imucald.diagnosis.left_over.remains import Remains
 from imucald.diagnosis.signals import CHANCE
 from imucald.model.leaves import BANDS_HZ, Leaves
 
-SHAKEN_FROM_HZ = {"accel_y": 0.4, "lateral_accel": 0.4, "accel_z": 0.0, "gyro_x": 0.0,
-                  "gyro_y": 0.0}  # fmt: skip
-"""Equations that contain the road's unevenness, with the lowest frequency of this effect [Hz]. From
-this frequency on, the chance is computed beyond a road of the next class. Well below its resonances
-(1 Hz and more; Rajamani, ch. 10), the body follows the road. The only lateral effect of the road is
-then the tilt of the body, and the gyroscope measures this tilt."""
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations whose residuals contain no effect of the road or the springs if gravity is integrated
 with a gyroscope."""
@@ -52,8 +47,6 @@ OF_MEDIAN = 2.0 / np.pi
 """Ratio of the variance of the mean to the variance of the median, for normal variables."""
 SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
           2: "half of the segments have"}  # fmt: skip
-FLAT = ("accel_x", "longitudinal_accel", "gyro_z", "yaw_rate", "speed")
-"""Equations that contain no unevenness of the road."""
 FAR = 6.0
 LASTING = np.linspace(-FAR, FAR, 121)
 """Possible common differences between all segments and the model file, in standard deviations."""
@@ -65,7 +58,7 @@ def _row(name: str, band: int) -> FamilyRow:
     computed beyond one road class."""
     low, high = BANDS_HZ[band : band + 2]
     road = float(np.log(ROAD_CLASS))
-    is_shaken = low >= SHAKEN_FROM_HZ.get(name, np.inf)
+    is_shaken = low >= EQUATIONS[name].shaken_from_hz
     return FamilyRow(
         road,
         lambda middle, more: (
@@ -140,7 +133,7 @@ def _of_equation(name: str, rms: Array, file: Leaves) -> Answer:
     as in the last band: a rougher road is rougher in every band (ISO 8608: all classes have the
     same slope).
     """
-    if name not in FLAT:
+    if np.isfinite(EQUATIONS[name].shaken_from_hz):
         rms = rms / np.maximum(rms[:, -1:] / max(file.rms[-1], LEAST_RMS), 1.0)
     logs, _, _, free = beside_file(rms, file)
     logs = logs - np.log(np.maximum(file.rms, LEAST_RMS))

@@ -20,7 +20,7 @@ from scipy.stats import gamma
 from imucald.core.arrays import Array
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import one_in_fifteen
-from imucald.diagnosis.left_over.remains import DriveResiduals, Remains
+from imucald.diagnosis.left_over.remains import LEAST_SEGMENTS, DriveResiduals, Remains
 
 ROUND_M = 1.5, 2.3
 """Smallest and largest circumference of a tyre of a passenger car or van [m]: 155/65 R13 has 1.60
@@ -32,7 +32,6 @@ RUN_OUT = 1.5 / 300.0
 workshop manuals of cars). A ring of teeth or magnets in a bearing has a smaller run-out."""
 DRIVING_MPS = 3.0
 LEAST_KNOTS = 20
-LEAST_SEGMENTS = 6
 SLOW_TERMS = 6
 """Number of polynomials that absorb drifts within a segment: up to about 0.1 Hz in 30 s."""
 FREE = 4.0

@@ -27,7 +27,7 @@ from imucald.diagnosis.fit.chance import Answer, chance_of_both, chance_of_large
 from imucald.diagnosis.fit.intervals import scatters
 from imucald.diagnosis.fit.score import without_best
 from imucald.diagnosis.left_over.courses import DELAY, EITHER_SIDE, amount
-from imucald.diagnosis.left_over.remains import Remains
+from imucald.diagnosis.left_over.remains import LEAST_SEGMENTS, Remains
 from imucald.diagnosis.result import Kind
 from imucald.diagnosis.search.trials import SINGLE_NATS
 from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
@@ -40,23 +40,13 @@ CRAWL_MPS = 3.0
 SHAKEN_S = (3.0, 10.0)
 """Averaging times of the vibration [s]. The longest is the time whose effects the tilt of a segment
 absorbs."""
-LARGE = (1.0, 2.0)
-"""Levels, in multiples of the rms, above which a value may have an after-effect. The levels are an
-octave apart, so most true levels are within a factor of 1.4 of a tested level."""
-AFTER_STOP_S = 60.0
+LARGE = 2.0
+"""Level, in multiples of the rms, above which a value may have an after-effect."""
 MEMORY_S = 20.0
 """Time constant of the memory [s]: between the length of a bend and the length of a segment."""
-SPEEDS = ("the speed", "crawling", "the time since standing")
-
-
-def _last(what: str, level: float) -> str:
-    """Return the name of a condition: the direction of the last value above a multiple of the
-    rms."""
-    return f"the last {what} above {level:g} times the rms"
-
-
-EITHER_WAY = ("accelerating and braking", *(_last("acceleration", n) for n in LARGE))
-TO_ONE_SIDE = ("the direction of turning", *(_last("turning", n) for n in LARGE))
+SPEEDS = ("the speed", "crawling")
+EITHER_WAY = ("accelerating and braking", "the last hard acceleration")
+TO_ONE_SIDE = ("the direction of turning", "the last hard turning")
 """Conditions that change sign when left and right are exchanged. A vehicle is symmetric in this
 respect."""
 STAMPS = "the deviation of its time stamps from a constant cycle"
@@ -69,7 +59,6 @@ PARTS = 4
 """Number of parts of a segment whose scatter is used: a bend or a braking lasts some seconds."""
 LEAST_PARTS = 10.0
 """Smallest number of parts that contain the information on an error."""
-LEAST_BLOCKS = 6
 OWN_SHARE = 0.1
 """Smallest share of a column's energy that the catalogue's columns do not explain. With a smaller
 share, the column's value depends on the errors of the catalogue's columns (a variance inflation
@@ -145,7 +134,7 @@ def pairs(left: Remains) -> Iterator[Answer]:
         if all(name in each for each in some) and _can_be_asked(error, name)
     ]
     blocks, each = sum(f.blocks for f in forwards), iter(some)
-    if not asked or blocks < LEAST_BLOCKS:
+    if not asked or blocks < LEAST_SEGMENTS:
         return
     parts = rows_with(forwards, model, table, lambda f: _added(f, model, asked, next(each)))
     x = np.tile(left.problem.fit(), (blocks, 1))  # differences that fit each segment
@@ -354,11 +343,9 @@ def conditions(f: Forward) -> dict[str, Array]:
     if not moves.any():
         return {}
     made = {SPEEDS[0]: v, SPEEDS[1]: np.exp(-v / CRAWL_MPS)}
-    if not moves.all():
-        made[SPEEDS[2]] = np.exp(-_since(~moves) / AFTER_STOP_S)
-    made |= _of(_accelerating(f), moves, "acceleration", EITHER_WAY[0])
+    made |= _of(_accelerating(f), moves, "acceleration", *EITHER_WAY)
     if f.has_turning:
-        made |= _of(_smooth(f.yaw_rate()), moves, "turning", TO_ONE_SIDE[0])
+        made |= _of(_smooth(f.yaw_rate()), moves, "turning", *TO_ONE_SIDE)
     made |= {f"shaking in {x:g} s": shaken(f, x) for x in SHAKEN_S}
     made[f"shaking in {MEMORY_S:g} s"] = _remembered(shaken(f, SHAKEN_S[0]))
     stamps = f.drive.channels["speed"].t
@@ -371,15 +358,15 @@ def conditions(f: Forward) -> dict[str, Array]:
     }
 
 
-def _of(x: Array, moves: Mask, what: str, side: str) -> Mapping[str, Array]:
+def _of(x: Array, moves: Mask, what: str, side: str, last_side: str) -> Mapping[str, Array]:
     """Return direction and amount of a quantity (N,), now and in the recent past. The scale is the
-    rms of the quantity."""
+    rms of the quantity. last_side: name of the direction of the last value above `LARGE`."""
     z = x / max(float(np.sqrt(np.mean(x[moves] ** 2))), 1e-12)
     rows, amount = np.arange(len(z)), np.abs(z)
-    last = {n: np.maximum.accumulate(np.where(amount > n, rows, 0)) for n in LARGE}
+    last = np.maximum.accumulate(np.where(amount > LARGE, rows, 0))
     return {
         side: np.tanh(z),
-        **{_last(what, n): np.sign(z[k]) for n, k in last.items()},
+        last_side: np.sign(z[last]),
         f"the amount of {what}": amount,
         f"the amount of {what} in {MEMORY_S:g} s": _remembered(amount),
     }
@@ -395,13 +382,6 @@ def _accelerating(f: Forward) -> Array:
 def _smooth(x: Array) -> Array:
     n = round(SMOOTH_S / STEP_S)
     return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
-
-
-def _since(stands: Mask) -> Array:
-    """Return the time since the vehicle last stood (N,) [s]; infinite before its first stop."""
-    rows = np.arange(len(stands))
-    last = np.maximum.accumulate(np.where(stands, rows, -1))
-    return np.where(last >= 0, (rows - last) * STEP_S, np.inf)
 
 
 def _remembered(x: Array) -> Array:

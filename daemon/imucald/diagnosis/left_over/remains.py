@@ -16,13 +16,15 @@ from imucald.diagnosis.cause_keys import Changes
 from imucald.diagnosis.equations.forward import Forward, Residuals
 from imucald.diagnosis.fit.beside_file import Left, joined
 from imucald.diagnosis.fit.blocks import LEAST_SHARE, MOVING_SHARE, Table
-from imucald.diagnosis.fit.score import Hypothesis, Problem, what_leaves
+from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import on_table
 from imucald.diagnosis.signals import DRIVING_MPS, STANDING_MPS, STEP_S, Mask
 from imucald.model.leaves import BANDS_HZ
 
 Spectra = NDArray[np.complex128]
+LEAST_SEGMENTS = 8
+"""Smallest number of segments between which a question looks for differences or a common wave."""
 DRIVEN = ("_winding", "_braking")
 """Names of the lateral and forward accelerations that the driver causes."""
 
@@ -68,8 +70,14 @@ class Remains:
 
     @cached_property
     def z(self) -> Array:
-        """Coefficients (B, P+1) that turn the rows of each segment into its residual."""
-        return what_leaves(self.problem, self.drift)
+        """Coefficients (B, P+1) that turn the rows of each segment into its residual, after a fit
+        of all parameters in their box."""
+        x, own = self.problem.fit(self.drift), len(self.table.keys)
+        z = np.tile(np.concatenate([[1.0], -x[:own]]), (self.table.blocks, 1))
+        if self.drift is not None and self.drift.pattern is not None:
+            for key, slope in zip(self.drift.keys, x[own:], strict=True):
+                z[:, self.table.keys.index(key) + 1] -= slope * self.drift.pattern
+        return z
 
     @cached_property
     def drives(self) -> list[DriveResiduals]:

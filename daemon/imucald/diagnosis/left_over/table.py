@@ -2,7 +2,8 @@
 
 Each row has the question, the kind of structure that it reports, and its statistic. An answer of
 the statistic has a size, the least size that counts, and its chance. `ODD` asks about raw values,
-before any fit. `LEFT` asks about residuals, after the search.
+before any fit. `AGAINST` asks about the residuals of the stated model file, before the search.
+`LEFT` asks about residuals after the search.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from imucald.diagnosis.direct.successive import (
     traits_of,
 )
 from imucald.diagnosis.fit.chance import Answer, Row, Tick, reported
-from imucald.diagnosis.left_over.adequacy import lines, shared, too_much
+from imucald.diagnosis.left_over.adequacy import goes_against, lines, shared, too_much
 from imucald.diagnosis.left_over.courses import DELAY, by_course, gains_apart
 from imucald.diagnosis.left_over.louder import LEAVES, more_than_stated, uneven
 from imucald.diagnosis.left_over.orders import orders
@@ -85,7 +86,13 @@ ODD = (
         "Do samples follow each other in another way than in the drives of the model file?",
         _following),
 )  # fmt: skip
+AGAINST = (
+    Row(Kind.GOES_AGAINST, "Does a signal have the opposite sign of its prediction?", goes_against,
+        True),
+)  # fmt: skip
 LEFT = (
+    Row(Kind.NOT_PLAUSIBLE, "Do only physically impossible values explain the numbers?",
+        lambda left: implausible(left.state), True),
     Row(Kind.TOO_MUCH, "Is the sideways residual larger than in any measured car?", too_much, True),
     Row(Kind.UNEVEN, "Do some segments have a residual larger than their noise?", uneven, True),
     Row(Kind.VALUE_HELD,
@@ -107,12 +114,7 @@ LEFT = (
 )  # fmt: skip
 
 
-def odd_values(drives: Sequence[DriveSignals], model: VehicleModel, tick: Tick) -> list[Structure]:
-    """Return structure in raw values that no healthy signal shows. Faults are not included."""
-    return reported(ODD, RawValues(drives, model), tick)
-
-
 def left_over(state: State, tick: Tick) -> list[Structure]:
     """Return structure in the residuals that no cause explains. Stamps that leave their cycle need
     an explanation, so the delay of the speed has an error rate of its own."""
-    return [*implausible(state), *reported(LEFT, Remains.of_state(state), tick, apart=DELAY)]
+    return reported(LEFT, Remains.of_state(state), tick, apart=DELAY)

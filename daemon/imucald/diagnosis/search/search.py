@@ -12,16 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
-from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import CAUSES, family
 from imucald.diagnosis.fit.chance import Tick
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
 from imucald.diagnosis.search.low_pass import delay_or_low_pass
 from imucald.diagnosis.search.shift import find_shift
-from imucald.diagnosis.search.state import State, refit, shift_steps
+from imucald.diagnosis.search.state import State, refit
 from imucald.diagnosis.search.trials import (
     ALIKE_SE,
     SINGLE_NATS,
@@ -91,8 +91,6 @@ def simplify(state: State, trial: Trial) -> None:
     if name is None or not first:
         return
     problem = state.evaluated()
-    if not set(h.keys) <= set(problem.table.keys):
-        return
     without_it = held_out(put_back(problem, state, first))
     if without_best(without_it - held_out(problem)) > trial.needed:
         return
@@ -240,12 +238,12 @@ def _grown(
         state.last = _trials(problem, state, skip)
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
         best = _winner(open_to) or _where_it_leads(problem, replace(state, last=open_to))
-        shift = None if state.left_out else find_shift(problem, problem.table.levels)
+        shift = None if state.left_out else find_shift(problem)
         if shift is not None and shift.named and (best is None or shift.shown > best.shown):
             # The parts before and after a shift are like two drives, so the search in this one
             # ends.
             state.shift = shift
-            state.model = with_shifts(state.model, shift_steps(shift))
+            state.apply({})
             state.evaluated()
             break
         if best is None:
@@ -264,8 +262,6 @@ def _grown(
         state.rivals.setdefault(name, []).extend(
             t for t in alike if t is not chosen and t.is_plausible
         )
-        if best is not chosen and best.is_plausible:
-            state.rivals[name].append(best)
         state.named.append(chosen)
         if chosen.hypothesis.pattern is not None:
             # The model file has no place for a drift: like a shift, it ends the search.
@@ -284,34 +280,40 @@ def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
 
     Each of several look-alikes may be the true cause. If another look-alike alone predicts equally
     well and needs no further cause, the further cause is dropped."""
-    for first in list(state.named):
-        if first.hypothesis.pattern is not None:
+    for first, trial in permutations(list(state.named), 2):
+        rivals = [r for r in state.rivals.get(first.hypothesis.name, [])
+                  if r.hypothesis.pattern is None and _is_apart(r, trial)]  # fmt: skip
+        if first.hypothesis.pattern is not None or not rivals or not _is_apart(first, trial):
             continue
-        rivals = [t for t in state.rivals.get(first.hypothesis.name, [])
-                  if t.hypothesis.pattern is None]  # fmt: skip
-        for trial in [t for t in state.named if t is not first]:
-            h = trial.hypothesis
-            if set(h.keys) & set(first.hypothesis.keys) and h.pattern is None:
-                continue
-            for rival in rivals:
-                if late() or first not in state.named or trial not in state.named:
-                    break
-                if set(rival.hypothesis.keys) & set(h.keys) and h.pattern is None:
-                    continue
-                other = without(state, first)
-                if h.pattern is None:
-                    other = without(other, trial)
-                _take(other, other.evaluated(), rival)
-                refit(other)
-                less, whole = other.evaluated(), state.evaluated()
-                alone = held_out(less)
-                both = held_out(whole, None if h.pattern is None else on_table(h, whole.table))
-                behind, se = paired(alone, both, less.table.number, whole.table.number)
-                if behind > max(ALIKE_SE * se, trial.needed):
-                    continue
-                asked = on_table(h, less.table)
-                if not tried(less, asked, alone, max(len(state.last), 1)).named:
-                    set_aside(state, trial)
+        if late() or first not in state.named or trial not in state.named:
+            continue
+        less = without(state, first)
+        if trial.hypothesis.pattern is None:
+            less = without(less, trial)
+        if any(not late() and _explains(state, less, rival, trial) for rival in rivals):
+            set_aside(state, trial)
+
+
+def _is_apart(other: Trial, trial: Trial) -> bool:
+    """True if another cause does not free the same parameters. A drift is never the same."""
+    is_drift = trial.hypothesis.pattern is not None
+    return is_drift or not set(other.hypothesis.keys) & set(trial.hypothesis.keys)
+
+
+def _explains(state: State, less: State, rival: Trial, trial: Trial) -> bool:
+    """True if a rival predicts as well as all named causes, and the named cause `trial` would not
+    be named in addition to it. less: the state without `trial` and the cause of the rival."""
+    other = replace(less, changes=dict(less.changes), held=set(less.held), bounds=dict(less.bounds))
+    _take(other, other.evaluated(), rival)
+    refit(other)
+    problem, whole, h = other.evaluated(), state.evaluated(), trial.hypothesis
+    alone = held_out(problem)
+    both = held_out(whole, None if h.pattern is None else on_table(h, whole.table))
+    behind, se = paired(alone, both, problem.table.number, whole.table.number)
+    if behind > max(ALIKE_SE * se, trial.needed):
+        return False
+    asked = on_table(h, problem.table)
+    return not tried(problem, asked, alone, max(len(state.last), 1)).named
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
@@ -396,7 +398,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     freed = set(state.free)
     for _ in range(2):
         state.apply(problem.moves(h))
-        state.held |= {k for d in h.directions for k in d} - freed
+        state.held |= h.moved - freed
         problem = state.evaluated()
     half = chosen.estimate.quantile * chosen.estimate.se
     for k, d in enumerate(h.directions):

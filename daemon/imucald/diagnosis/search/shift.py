@@ -14,7 +14,6 @@ import numpy as np
 
 from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
-from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
 
@@ -63,11 +62,9 @@ class FittedShift:
         return SEARCH * self.quantile
 
 
-def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
-    """Return the best step or creep of one drive; None if the data cannot show a shift. levels: (B,
-    2) mean tilt forward and left of each block.
-    """
-    table = problem.table
+def find_shift(problem: Problem) -> FittedShift | None:
+    """Return the best step or creep of one drive; None if the data cannot show a shift."""
+    table, levels = problem.table, problem.table.levels
     if not set(KEYS) <= set(table.keys) or len(set(table.drive.tolist())) != 1:
         return None
     blocks = table.blocks
@@ -79,10 +76,10 @@ def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
     scores = [_in_sample(problem, p) + _level_gain(levels, p) for p in steps]
     best = int(np.argmax(scores))
     ramp = np.linspace(0.0, 1.0, blocks)
-    found = _shift(problem, levels, steps[best], "step", table, places[best])
+    found = _shift(problem, steps[best], "step", places[best])
     creeping = _in_sample(problem, ramp) + _level_gain(levels, ramp)
     if creeping > scores[best] + np.log(len(places)):
-        creep = _shift(problem, levels, ramp, "creep", table, 0)
+        creep = _shift(problem, ramp, "creep", 0)
         if creep.named:
             return creep
     return found
@@ -117,15 +114,13 @@ def _level_gain(levels: Array, pattern: Array) -> float:
     return float(0.5 * ((step / np.maximum(se, 1e-6)) ** 2).sum()) if len(levels) > 6 else 0.0
 
 
-def _shift(
-    problem: Problem, levels: Array, pattern: Array, kind: str, table: Table, place: int
-) -> FittedShift:
+def _shift(problem: Problem, pattern: Array, kind: str, place: int) -> FittedShift:
     """Combine both sources of evidence, weighted by the inverse of their variances."""
-    h = _hypothesis(pattern)
+    h, table = _hypothesis(pattern), problem.table
     e = estimate(problem, h, 3)
     gain = held_out(problem) - held_out(problem, h)
     turn, se = e.value.copy(), e.se.copy()
-    step, step_se = _level_step(levels, pattern)
+    step, step_se = _level_step(table.levels, pattern)
     # A sensor turned by d about y (nose down) measures -g d forward; turned about x it measures +g
     # d to the left.
     by_level = np.array([step[1], -step[0]])

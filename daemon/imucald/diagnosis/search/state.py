@@ -19,8 +19,8 @@ from imucald.diagnosis.cause_keys import (
 )
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
-from imucald.diagnosis.fit.blocks import KeptTables, Table
-from imucald.diagnosis.fit.intervals import Estimate, estimate, quantile
+from imucald.diagnosis.fit.blocks import Table, table_of
+from imucald.diagnosis.fit.intervals import estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.search.shift import FittedShift
 from imucald.diagnosis.search.trials import Trial
@@ -72,8 +72,6 @@ class State:
     whole: Table | None = None
     """The table with all equations, including the equations in `left_out`."""
     forwards: list[Forward] = field(default_factory=list)
-    tables: KeptTables = field(default_factory=KeptTables)
-    """Tables that this state and the states derived from it have in common."""
     _evaluated: VehicleModel | None = None
 
     @property
@@ -95,7 +93,7 @@ class State:
     def evaluated(self) -> Problem:
         """Evaluate the drives with the present model."""
         if self.table is None or self._evaluated != self.model:
-            self.whole, self.forwards = self.tables.table_for(self.drives, self.model)
+            self.whole, self.forwards = table_of(self.drives, self.model)
             self.table = self.whole.without(self.left_out)
             self._evaluated = self.model
         return Problem.from_table(
@@ -178,15 +176,14 @@ def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
     return [(float(t), shift.turn / CREEP_STEPS) for t in starts]
 
 
-def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
-    """Return, by found parameter, the difference from the stated model, its standard deviation and
-    the quantile. The other parameters are fitted too."""
+def final_estimates(state: State) -> dict[str, tuple[float, float]]:
+    """Return, by found parameter, the difference from the stated model and its standard deviation.
+    The other parameters are fitted too."""
     if state.table is None or not state.changes:
         return {}
     problem = state.evaluated()
     keys = tuple(k for k in state.free if k in problem.table.keys)
     if not keys:
         return {}
-    e: Estimate = estimate(problem, Hypothesis("all", keys), len(PARAMETERS))
-    q = quantile(problem.table.blocks, 1)
-    return {key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)}
+    e = estimate(problem, Hypothesis("all", keys), len(PARAMETERS))
+    return {key: (state.changes[key], float(se)) for key, se in zip(keys, e.se, strict=True)}

@@ -11,10 +11,11 @@ from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.cause_keys import level_effect
-from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
+from imucald.diagnosis.causes import ACCEL_BIAS, CAUSES, MODEL_ERROR, Cause, family
 from imucald.diagnosis.fit.blocks import NDArrayInt, Table
-from imucald.diagnosis.fit.intervals import ERROR_RATE, Estimate, estimate
+from imucald.diagnosis.fit.intervals import Estimate, estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
+from imucald.diagnosis.signals import CHANCE
 from imucald.model.model import VehicleModel
 
 SINGLE = 0.05
@@ -28,7 +29,6 @@ FALSE_SHARE = 0.2
 """Share of the causes reported as likely that may be false: one in five."""
 RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
-BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
             beside = dict(cause.with_it)
             if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
                 made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
-            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
+            level = cause.name in LEVELLED and not set(ACCEL_BIAS) & set(skip)
             made.append(_hypothesis(cause, keys, model, table, level))
     return made
 
@@ -198,7 +198,7 @@ def tried(
     index = problem.table.index(h.keys)
     t = problem.table
     return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
-                 t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
+                 t.tolerance[index], t.plausible[index], math.log(questions / CHANCE),
                  float(student.ppf(1.0 - 0.5 * SINGLE, t.blocks - 1)), _reach(t, h),
                  t.number)  # fmt: skip
 
