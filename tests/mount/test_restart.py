@@ -76,7 +76,7 @@ def test_a_known_sensor_is_found_again_sooner_and_nothing_is_called_suspect() ->
     assert good < afresh
 
 
-@pytest.mark.parametrize("degrees", [(3.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, -2.0)])
+@pytest.mark.parametrize("degrees", [(3.5, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, -2.0)])
 def test_a_sensor_moved_a_little_while_parked_is_found_out(
     degrees: tuple[float, float, float],
 ) -> None:
