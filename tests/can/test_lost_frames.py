@@ -49,3 +49,10 @@ def test_stamps_of_a_coarse_clock_are_no_loss_and_hide_none(clock_s, cycle, shar
     known = lost_share(np.diff(np.maximum.accumulate(t + clock_s * rng.random(len(t)))))
     assert known is None or known == pytest.approx(share, abs=0.015)
     assert known is not None or cycle <= 2.0 * clock_s
+
+
+@pytest.mark.parametrize("apart", [2e-5, 8e-5])
+def test_frames_that_an_adapter_hands_over_in_batches_are_no_loss(apart):
+    place = np.arange(4000)
+    t = 0.01 * (place // 10 * 10 + 9) + apart * (place % 10)
+    assert lost_share(np.diff(t)) is None

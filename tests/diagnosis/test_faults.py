@@ -451,3 +451,60 @@ def test_the_deviation_of_a_cycle_is_that_of_stamps_that_wander():
         said.append(((clock.cycle_s - 0.01) / 0.01, clock.se))
     error, se = np.array(said).T
     assert 0.7 < np.sqrt(np.mean((error / se) ** 2)) < 1.6
+
+
+def with_coarse_stamps(step: float, cycle: float, lost: float, seed: int) -> dict[str, Series]:
+    """The gyroscope's frames come each cycle, late by some tenths of a millisecond; the logger's
+    clock goes in steps and rounds down."""
+    rng, samples = np.random.default_rng(seed), drive()
+    count = round(SECONDS / cycle)
+    t = (rng.random() + np.arange(count)) * cycle * (1.0 + 1e-6 * rng.uniform(-100.0, 100.0))
+    t = np.maximum.accumulate(t + 0.001 * rng.exponential(size=count))
+    kept = rng.random(count) >= lost
+    values = np.resize(samples["gyro"].values, (count, 3))
+    return {**samples, "gyro": Series(np.floor(t[kept] / step) * step, values[kept])}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("cycle", [0.01, 0.02, 0.05])
+@pytest.mark.parametrize("step", [0.001, 0.01, 1.0 / 64.0, 0.02])
+def test_stamps_that_are_rounded_down_lose_no_frame(step, cycle, seed):
+    model = MODEL.with_changes({"gyro.rate_hz": 1.0 / cycle})
+    found = causes(with_coarse_stamps(step, cycle, 0.0, seed), model)
+    assert "dropouts:gyro" not in found
+    assert "clock_drift:gyro" not in found
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("step", "cycle"),
+    [(0.001, 0.01), (0.01, 0.01), (0.01, 0.02), (0.01, 0.05), (1.0 / 64.0, 0.05), (0.02, 0.02)],
+)
+def test_what_is_lost_is_counted_also_with_stamps_that_are_rounded_down(step, cycle, seed):
+    model = MODEL.with_changes({"gyro.rate_hz": 1.0 / cycle})
+    found = causes(with_coarse_stamps(step, cycle, 0.03, seed), model)
+    assert found["dropouts:gyro"].values["gyro.loss"][0] == pytest.approx(0.03, abs=0.006)
+
+
+@pytest.mark.parametrize("apart", [0.0, 2e-5, 8e-5])
+@pytest.mark.parametrize("many", [2, 3, 10, 30])
+def test_frames_that_are_handed_over_in_batches_are_not_lost(many, apart):
+    """An adapter stamps them as they are read: closely one after the other, after the last one."""
+    samples = drive()
+    for name in ("accel", "gyro"):
+        t, place = samples[name].t, np.arange(len(samples[name].t))
+        last = np.minimum(place // many * many + many - 1, len(t) - 1)
+        samples[name] = Series(t[last] + apart * (place % many), samples[name].values)
+    found = causes(samples)
+    assert not [key for key in found if key.startswith(("dropouts", "clock_drift"))]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_speed_that_is_asked_for_loses_no_frame(seed):
+    """As in a measured drive: each answer is asked for after the one before, in 0.40 s, and one in
+    seventy takes twice as long."""
+    rng, samples = np.random.default_rng(seed), drive()
+    late = np.where(rng.random(1400) < 1.0 / 70.0, 0.4, 0.0)
+    t = np.cumsum(rng.normal(0.4, 0.02, 1400) + late)
+    samples["speed"] = Series(t, np.round(40.0 + 10.0 * np.sin(t / 11.0)) / 3.6)
+    assert "dropouts:speed" not in causes(samples, MODEL.with_changes({"speed.rate_hz": 2.5}))

@@ -123,7 +123,7 @@ def diagnose(
     the same mount in all drives. model: the model file to test. Without a model file, a default car
     is tested, with the values of the configuration and the mount that is found in the drives.
     time_limit_s: limit of processor time [s], after which the findings so far are reported; the
-    default is 40 s per hour of driving, at least 10 s. progress: called with the share done and the
+    default is 40 s per hour of driving, at least 30 s. progress: called with the share done and the
     current step. reading: called with the bytes read. strict: the first bad line raises LogError.
 
     Raises ConfigError for the configuration, the model file, or a log given twice. Raises LogError

@@ -44,14 +44,26 @@ def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -
     if not cycle:
         return None
     intervals = intervals[intervals < max(MOST_CYCLES * cycle, MOST_S)]
-    cycle = _cycle_of(intervals, cycle)
-    if np.mean(np.abs(intervals / cycle - 1.0) < REGULAR) < REGULAR_SHARE:
+    cycle = cycle_of(intervals, cycle)
+    near = np.abs(intervals / cycle - 1.0) < REGULAR
+    if np.mean(near) < REGULAR_SHARE or not is_cycle_of(intervals, near):
         return None
     # The elapsed time in cycles: if one interval is too long, the next is too short.
     return max(0.0, 1.0 - len(intervals) * cycle / float(intervals.sum()))
 
 
-def _cycle_of(intervals: NDArray[np.float64], usual: float) -> float:
+def is_cycle_of(intervals: NDArray[np.float64], near: NDArray[np.bool_]) -> bool:
+    """Return whether the intervals that are one cycle long, marked by `near`, take most of the time
+    of all intervals (N,) [s].
+
+    An adapter that hands over frames in batches stamps the frames of a batch closely one after the
+    other. Most intervals are then equal, but they take nearly no time, and no sender has this
+    cycle.
+    """
+    return bool(2.0 * intervals[near].sum() > intervals.sum())
+
+
+def cycle_of(intervals: NDArray[np.float64], usual: float) -> float:
     """Return the cycle near `usual` [s] whose grid fits frames with intervals (N,) [s] best.
 
     Coarse or late time stamps scatter about the grid, and a lost frame leaves a place of the grid

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="S",
         help="processor time after which the search ends with the causes found so far (default: 40 "
-        "s for each hour of driving, at least 10 s)",
+        "s for each hour of driving, at least 30 s)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     add_quiet(parser, "print no progress and no summary")

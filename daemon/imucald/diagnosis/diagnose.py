@@ -55,7 +55,9 @@ Progress = Callable[[float, str], None]
 LIMIT_S_PER_H = 40.0
 """Limit of the search's processor time per hour of driving [s]. At this limit, the search ends with
 its present result. The steps after the search take up to 15 s more per hour of driving."""
-LEAST_LIMIT_S = 10.0
+LEAST_LIMIT_S = 30.0
+"""Smallest default limit of the search's processor time [s]. A search in ten minutes of driving
+takes about 10 s. With a limit near this time, the result would depend on the load of the machine."""
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 NOT_AS_STATED = (

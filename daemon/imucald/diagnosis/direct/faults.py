@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.can.lost_frames import cycle_of, is_cycle_of
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
@@ -59,10 +60,14 @@ class Clock:
     se: float
     """Relative standard deviation of the cycle time."""
     steps: Array
-    """Number of cycles between successive frames (N - 1,)."""
+    """Number of cycles between successive frames (N - 1,). With coarse time stamps, the number may
+    be 0 and then 2. Only a lost frame changes the sum."""
     is_steady: bool
     """True if the time stamps follow the cycle over the whole drive. Lost frames are also visible
     if the clock of the logger wanders."""
+    adds_up: bool
+    """True if delays add up from frame to frame. No clock then triggers the frames, and a late
+    frame cannot be distinguished from a lost frame."""
 
 
 def clock_of(t: Array) -> Clock | None:
@@ -75,24 +80,42 @@ def clock_of(t: Array) -> Clock | None:
     if len(steps) < 50:
         return None
     cycle = float(np.median(steps))
+    if not cycle:
+        return None
+    cycle = cycle_of(steps[steps < PAUSE_S], cycle)
     near = np.abs(steps - cycle) < NEAR_SHARE * cycle
     if near.mean() < NEAR or np.std(steps[near]) > JITTER_SHARE * cycle:
+        return None
+    if not is_cycle_of(steps, near):
         return None
     at = t - t[0]
     for _ in range(LOCKS):
         count = _counted(at, cycle)
-        centred = count - count.mean()
-        slope = float(centred @ (at - at.mean()) / (centred @ centred))
+        left, slope = _line(count, at)
         if abs(slope / cycle - 1.0) > 0.02:
             return None
         cycle = slope
-    left = at - at.mean() - cycle * centred
-    is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle) and not _adds_up(steps, cycle)
+    # Stamps in steps of half a cycle lie on two phases, and no phase counts them. If no frame is
+    # lost, the row numbers count them.
+    rows = np.arange(len(at), dtype=float)
+    by_rows, slope = _line(rows, at)
+    if np.std(by_rows) <= np.std(left):
+        count, cycle, left = rows, slope, by_rows
+    adds_up = _adds_up(steps, cycle)
+    is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle) and not adds_up
     # Errors that wander from stamp to stamp add up, so slopes of parts are compared, not samples.
     parts = zip(np.array_split(count, PARTS), np.array_split(at, PARTS), strict=True)
     slopes = [np.polyfit(n, t, 1)[0] for n, t in parts]
     se = float(np.std(slopes, ddof=1) / np.sqrt(PARTS))
-    return Clock(cycle, se / cycle, np.round(steps / cycle), is_steady)
+    return Clock(cycle, se / cycle, np.diff(count), is_steady, adds_up)
+
+
+def _line(count: Array, at: Array) -> tuple[Array, float]:
+    """Return the delays (N,) of time stamps [s] relative to a straight line over their counts (N,),
+    and its slope [s]."""
+    centred = count - count.mean()
+    slope = float(centred @ (at - at.mean()) / (centred @ centred))
+    return np.asarray(at - at.mean() - slope * centred), slope
 
 
 def late_steps(steps: Array, cycle: float) -> Array:
@@ -239,7 +262,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         )  # fmt: skip
     t = series.t[~again]
     clock = clock_of(t)
-    if clock is None:
+    if clock is None or clock.adds_up:
         return
     # A pause of the sender or the logger is no loss of frames.
     steps = np.where(np.diff(t) > PAUSE_S, 1.0, clock.steps)

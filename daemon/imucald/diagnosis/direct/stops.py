@@ -36,9 +36,6 @@ class Rest:
     kelvin: float = 0.0
     """Mean temperature of the stops minus the temperature at which the zero error of the model file
     is valid [K]."""
-    per_kelvin: Array | None = None
-    """Slope of the rates at stops over temperature [rad/s/K]; None if the temperature hardly
-    changes."""
 
     def allowed(self, model: VehicleModel) -> Array:
         """Return the error (3,) that a correct model file may have at these stops [rad/s]. The
@@ -90,18 +87,4 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
         return Rest(mean, np.maximum(scatter, LEAST_SE), 3.0, n, float(np.mean(kelvins)))
     se = np.maximum(scatter, FINEST_SE)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
-    slope = _slope(np.array(kelvins), table)
-    return Rest(mean, se, min(q, 10.0), n, float(np.mean(kelvins)), slope)
-
-
-LEAST_KELVIN = 4.0
-
-
-def _slope(kelvin: Array, table: Array) -> Array | None:
-    """Return the slope of a regression of the rates at stops on the temperature; None if the
-    temperature hardly changes."""
-    n = len(kelvin)
-    if n < FEW_STOPS + 2 or np.ptp(kelvin) < LEAST_KELVIN:
-        return None
-    x = kelvin - kelvin.mean()
-    return np.asarray(x @ table / (x @ x))
+    return Rest(mean, se, min(q, 10.0), n, float(np.mean(kelvins)))
