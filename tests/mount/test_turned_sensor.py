@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import GRAVITY, Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
@@ -19,6 +20,7 @@ from imucald.mount.hand_moves import (
     HandMoves,
     TurnedAlone,
 )
+from imucald.mount.hysteresis import GOOD
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker
 from imucald.simulation import Drive, random_model, simulate
 from mount_settings import joint_settings
@@ -256,3 +258,22 @@ def test_a_sensor_that_is_turned_again_before_it_is_good_again_is_never_wrong_as
             ahead = applied @ R.T @ [math.cos(now), -math.sin(now), 0.0]
             assert abs(math.degrees(math.atan2(ahead[1], ahead[0]))) < 2.0, 0.1 * k
     assert good_after
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1840012, 1840013])
+def test_a_tilt_of_a_young_mount_is_noticed_without_a_gyroscope(seed: int) -> None:
+    """Turned by 12 deg in pitch after 100 s on a motorway: no filter of sudden changes runs."""
+    made = simulate(random_model(seed, "motorway"), seed, 3.0)
+    R = made.truth.R_vehicle_from_sensor()
+    about = rotation_from_angles(0.0, math.radians(12.0), 0.0)
+    samples = {name: one for name, one in made.samples.items() if name != "gyro"}
+    accel = samples["accel"]
+    tilted = np.where((accel.t > 100.0)[:, None], accel.values @ R.T @ about @ R, accel.values)
+    samples["accel"] = Series(accel.t, tilted)
+    estimator, good = JointEstimator(joint_settings()), []
+    for row in ticks_from_samples(samples, 0, 1800).tolist():
+        estimator.step(row)
+        good.append(estimator.state in GOOD)
+    assert good[999]
+    assert not all(good[1000:1600])

@@ -57,7 +57,7 @@ LIMIT_S_PER_H = 40.0
 its present result. The steps after the search take up to 15 s more per hour of driving."""
 LEAST_LIMIT_S = 30.0
 """Smallest default limit of the search's processor time [s]. A search in ten minutes of driving
-takes about 10 s. With a limit near this time, the result would depend on the load of the machine."""
+takes about 10 s. With a limit near this time, the result would depend on the machine's load."""
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
 NOT_AS_STATED = (

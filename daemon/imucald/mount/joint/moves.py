@@ -28,7 +28,7 @@ from imucald.mount.joint.response import SEGMENTS
 
 SPANS: Final = np.array((1, 2, 3, 4, 5, 6, 8, 10, 13, 16))
 """Numbers of whole road segments since a move that are tested (26 s to 7 min of driving)."""
-LEAST_BEFORE = 6
+LEAST_BEFORE = 3
 """Smallest number of road segments before a move."""
 _HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
 SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
