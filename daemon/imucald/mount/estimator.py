@@ -147,6 +147,7 @@ class JointEstimator:
         self._changes = MountChanges()
         self._stepped = np.zeros(3)  # change of the zero in this drive, sensor axes [m/s^2]
         self._before_step: Solution | None = None  # solution before the zero changed
+        self._may_be_turn = False  # the last step of the zero may be a turn of the sensor
         self._level: LevelChange | None = None
         self._is_gravity_open = False  # something has changed, and it is not known what
         self._instead = -math.inf  # log odds of what else may be in place of a drift
@@ -509,6 +510,7 @@ class JointEstimator:
         else:
             if not self._stepped.any():
                 self._before_step = self.solution
+            self._may_be_turn = True
             self._stepped += inverse(evidence.watch_axes) @ found.size
             self._level = LevelChange(found.level, found.level + float(found.size[2]))
         self._lately_known.clear()
@@ -648,11 +650,13 @@ class JointEstimator:
         the step are turned about the vertical.
 
         A step of the zero error does not turn the responses. The filter that found the step is
-        linear, so it cannot describe a turn by more than some degrees.
+        linear, so it cannot describe a turn by more than some degrees. The first usable solution
+        after the step decides: later turns have other causes.
         """
         before, now = self._before_step, self.solution
-        if before is None or now is None or not self._is_usable(now):
+        if not self._may_be_turn or before is None or now is None or not self._is_usable(now):
             return
+        self._may_be_turn = False
         turn = vector_from_rotation(now.housing @ before.housing.T)
         std = math.sqrt(float((now.covariance + before.covariance)[PHI, PHI][YAW, YAW]))
         size = float(turn[YAW])
