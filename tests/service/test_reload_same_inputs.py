@@ -227,7 +227,7 @@ def test_a_reload_of_the_estimation_keeps_what_is_usual_for_the_vehicles_signals
     def usual_speed() -> object:
         made = without_stored(service.engine.pipeline.estimator)
         assert isinstance(made, JointEstimator)
-        return made._signals.health._signals["speed"]._ended
+        return made._signals.health._signals["speed"]._usual
 
     before, estimator = usual_speed(), service.engine.pipeline.estimator
     bench.edit("accelerometer_bias: 0.02", "accelerometer_bias: 0.03")
