@@ -16,6 +16,7 @@ from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.mount_changes import MountChanges
+from imucald.simulation import random_model, simulate
 from mount_settings import joint_settings
 
 EDITS = {
@@ -128,3 +129,19 @@ def test_a_zero_is_taken_off_as_well_as_stated(zero):
     stated = np.array([sent.zero_x, sent.zero_y])
     assert (np.abs(left[:2]) < 2.0 * stated).all()
     assert (stated < 0.45).all()
+
+
+@pytest.mark.slow
+def test_a_step_of_the_zero_is_not_named_a_wrong_unit_while_its_cause_is_open():
+    """1 m/s^2 across the vehicle are as much as the force of a bend."""
+    made = simulate(random_model(1880001), 1880001, 4.5)
+    accel = made.samples["accel"]
+    values = accel.values.copy()
+    values[accel.t >= 187.0, 1] += 1.0
+    samples = {**made.samples, "accel": Series(accel.t, values)}
+    estimator, faults = JointEstimator(joint_settings()), set()
+    for row in ticks_from_samples(samples, 0, 2700).tolist():
+        estimator.step(row)
+        faults.update(estimator.faults)
+    assert "accelerometer_zero" in faults
+    assert not {fault for fault in faults if fault.endswith("_unit")}

@@ -337,9 +337,10 @@ class JointEstimator:
         turned = None
         if carried.R is not None:
             turned = changes.at_once(p, carried, signals, is_watched)
-        if turned is not None:  # moved by hand: no sign and no unit is contradicted
+        if turned is not None or self._is_gravity_open:  # no sign and no unit is contradicted
             self._checks.forget_forces()
-        elif self._checks.take_block(p, carried, signals, self._kept, self._fits_no_sensor):
+        checked = p, carried, signals, self._kept, self._fits_no_sensor
+        if turned is None and self._checks.take_block(*checked):
             self._begin_without_rotation([p])
         self._solve_with(p)
         self._follow_creep()
