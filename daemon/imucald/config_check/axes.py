@@ -45,17 +45,24 @@ effect of road bumps."""
 
 def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None:
     """Return the response to changes of speed and to turns; None if it is not clear."""
+    found = _response(motion, rates, _shows_turns(rates))
+    if found is None or motion.change is None:
+        return None
+    if found.gain * spread(motion.change) < MIN_BRAKING:
+        return None
+    return found if found.relation.explained >= LIKE**2 else None
+
+
+def _response(motion: Motion, rates: Mapping[str, Array], name: str | None) -> Response | None:
+    """Return the response to changes of speed and to the turns of the rate `name`, or to changes of
+    speed alone; None if a signal is missing."""
     if motion.change is None or motion.accel is None or motion.speed is None or motion.up is None:
         return None
-    name = _shows_turns(rates)
     others = None
     if name is not None:
         zero = motion.turn_zero if name == "gyroscope" else motion.turn_zero[:, :0]
         others = np.column_stack([motion.speed * rates[name], zero])
-    found = response(motion.accel, motion.up, motion.change, others)
-    if found is None or found.gain * spread(motion.change) < MIN_BRAKING:
-        return None
-    return found if found.relation.explained >= LIKE**2 else None
+    return response(motion.accel, motion.up, motion.change, others)
 
 
 def _shows_turns(rates: Mapping[str, Array]) -> str | None:
@@ -139,16 +146,14 @@ def turn_gain_findings(
 def _response_to_turns(motion: Motion, rates: Mapping[str, Array]) -> tuple[Response, float] | None:
     """Return the response to the turns that the gyroscope shows, and the lateral force divided by
     speed times yaw rate; None if the force does not show these turns."""
-    if "gyroscope" not in rates or motion.up is None or motion.accel is None:
+    found = _response(motion, rates, "gyroscope") if "gyroscope" in rates else None
+    if found is None or motion.accel is None or motion.speed is None:
         return None
-    if motion.speed is None or motion.change is None:
-        return None
-    turn, zero = motion.speed * rates["gyroscope"], motion.turn_zero
-    found = response(motion.accel, motion.up, motion.change, np.column_stack([turn, zero]))
-    size = 0.0 if found is None else float(np.linalg.norm(found.across))
-    if found is None or not size > 0.0:
+    size = float(np.linalg.norm(found.across))
+    if not size > 0.0:
         return None
     force = motion.accel @ (found.across / size)
-    if spread(force) < MIN_ACROSS or not relation(less(turn, zero), force).is_same_motion:
+    turn = less(motion.speed * rates["gyroscope"], motion.turn_zero)
+    if spread(force) < MIN_ACROSS or not relation(turn, force).is_same_motion:
         return None
     return found, size

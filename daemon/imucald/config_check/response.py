@@ -14,6 +14,7 @@ from imucald.config.base import MIN_SPEED_DELAY
 from imucald.config_check.motion import shifted
 from imucald.config_check.relation import MIN_VALUES, Relation, relation
 from imucald.core.arrays import Array
+from imucald.core.rotations import levelling_rotation
 from imucald.motion.ticks import TICK_S
 
 LATEST = 2.5
@@ -60,7 +61,7 @@ def response(
     accel: (n, 3). up: unit vector (3,) in the same axes. change: (n,), in any unit of speed per
     second. others: (n, k), further columns of the fit; the first is speed times yaw rate.
     """
-    level = level_axes(up)
+    level = levelling_rotation(up)[:2]
     force = accel @ level.T
     others = np.zeros((len(change), 0)) if others is None else others
 
@@ -97,11 +98,3 @@ def _fit(force: Array, change: Array, others: Array) -> tuple[float, Array]:
     rest = (force - columns[:, 1:] @ coefficients[1:]) @ along
     sizes = float(rest @ rest) * float(change @ change)
     return float(rest @ change) ** 2 / sizes if sizes > 0.0 else 0.0, coefficients
-
-
-def level_axes(up: Array) -> Array:
-    """Return two unit vectors (2, 3) that are orthogonal to up and to each other."""
-    start = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = np.cross(up, start)
-    first /= np.linalg.norm(first)
-    return np.vstack([first, np.cross(up, first)])

@@ -176,7 +176,7 @@ def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
         if apart > ONE_UNIT:
             return "the wheel speeds differ from it"
         return "" if best.unit.is_stated or apart < NEAR_WHEELS else "no unit is stated"
-    if not best.unit.is_stated and best.relation.explained < 0.5:
+    if not best.unit.is_stated and best.relation.explained < SAME_MOTION:
         return "the database states no unit, and half of the accelerations do not fit"
     own = np.abs(best.candidate.smooth * best.unit.factor)
     for other in fits[1:]:

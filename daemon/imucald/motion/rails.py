@@ -408,7 +408,7 @@ class Rail:
         value."""
         self.changed = True
         k, hop = int(self._depth[0]) - 1, int(self._hops[0]) - 1
-        value, born = self._rows[k, :2].tolist()
+        value, began = self._rows[k, :2].tolist()
         rate = rate_of(*at.runs[h])
         pile = self.piles.get(value)
         if pile is None:
@@ -425,7 +425,7 @@ class Rail:
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(value, hop - int(born), at.step[h])
+                pile.met += self._coincidence(value, hop - int(began), at.step[h])
 
     def _coincidence(self, value: float, age: int, step: float) -> float:
         """Return -log of the probability that one more peak of the tail falls into the same step

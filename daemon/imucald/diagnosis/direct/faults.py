@@ -95,8 +95,8 @@ def clock_of(t: Array) -> Clock | None:
         if abs(slope / cycle - 1.0) > 0.02:
             return None
         cycle = slope
-    # Stamps in steps of half a cycle lie on two phases, and no phase counts them. If no frame is
-    # lost, the row numbers count them.
+    # Time stamps with a resolution of half a cycle cannot count the frames. If no frame is lost,
+    # the row numbers count them.
     rows = np.arange(len(at), dtype=float)
     by_rows, slope = _line(rows, at)
     if np.std(by_rows) <= np.std(left):

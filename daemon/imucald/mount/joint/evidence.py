@@ -140,9 +140,10 @@ USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
 SQUAT = 0.006
 """Prior standard deviation of the response of the vertical force to d(v dv/dt)/dt [s^2/m].
 
-A body pitches by k dv/dt, and k is 2 to 3.5 deg/g, up to 0.006. Two parts of the force along z
-follow: -k (dv/dt)^2, because dv/dt is no longer along x, and -k v d2v/dt2, because the pitch rate
-is no longer that of the road, and -v q has been subtracted. Their sum is -k d(v dv/dt)/dt.
+A body pitches by k dv/dt. k is 2 to 3.5 deg/g, up to 0.006 (assumption, as for `PITCHES`). The
+pitch changes the force along z in two ways. dv/dt is not along x any more: -k (dv/dt)^2. The
+measured pitch rate contains the pitching, and -v q is subtracted: -k v d2v/dt2. The sum is
+-k d(v dv/dt)/dt.
 """
 NONE = 1e-5
 """Prior standard deviation of a response that does not exist."""
@@ -669,11 +670,10 @@ class Evidence:
         if good.any():
             known = known_times(knots, v, self._blocks[stop - 1].least_speed)
             x = means_between(x, known, use)
-            rate = wd.mean_by_power(
-                _by_window(known_rate(known, len(x)))[good], _by_window(x)[good]
-            )
+            windows = _by_window(x)[good]
+            rate = wd.mean_by_power(_by_window(known_rate(known, len(x)))[good], windows)
             ends = np.arange(stop - len(good), stop)[good]
-            self._sums.add_spectra(wd.spectra(_by_window(x)[good], in_use[good]), ends, rate)
+            self._sums.add_spectra(wd.spectra(windows, in_use[good]), ends, rate)
 
     def _eliminated(
         self, first: int, stop: int, use: Flags
