@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import GRAVITY
-from imucald.drive.roads import mean_slopes
+from imucald.drive.roads import road_slopes
 from imucald.drive.vertical import CarriedVertical
 from imucald.drive.windows import WINDOW, spectra
 from imucald.mount.joint import evidence as module
@@ -280,30 +280,39 @@ def test_the_axis_of_turning_is_known_from_bends_better_than_roads_are_level() -
     assert abs(left[1, 2]) < 3.0 * sent.rate_yz
 
 
-WHOLE = np.array([[0, 160]])
-
-
-def slopes(stretch: int, seed: int = 0) -> np.ndarray:
-    """Blocks of 100 m whose slopes of 0.02 stay for so many."""
+def slopes(stretch: int, seed: int = 0, rms: float = 0.02) -> np.ndarray:
+    """160 blocks of 100 m. A new slope begins after each `stretch` blocks."""
     rng = np.random.default_rng(seed)
-    along, across = np.repeat(0.02 * rng.standard_normal((2, 160 // stretch)), stretch, axis=1)
+    along, across = np.repeat(rms * rng.standard_normal((2, 160 // stretch)), stretch, axis=1)
     metres = np.full(160, 100.0)
     return np.column_stack([along * metres, across * metres, metres, metres])
 
 
-def test_slopes_that_go_on_widen_the_deviation_of_the_level() -> None:
-    expected = 0.02**2 * 400.0 / 16_400.0
-    short, long = (
-        np.mean([mean_slopes(slopes(stretch, seed), WHOLE, 0.02)[1] for seed in range(20)])
-        for stretch in (4, 20)
-    )
-    assert short < 1.4 * expected
-    assert long > 2.0 * expected
+def mean_errors(stretch: int, rms: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean slopes (40, 2) that were found on roads whose mean slope is zero, and deviations."""
+    found = [road_slopes(slopes(stretch, seed, rms), 0.02) for seed in range(40)]
+    return np.array([x.mean for x in found]), np.sqrt([x.mean_variance for x in found])
 
 
-def test_the_mean_slope_is_that_of_the_metres() -> None:
-    mean, _ = mean_slopes(slopes(4), WHOLE, 0.02)
-    np.testing.assert_allclose(mean[0], slopes(4)[:, :2].sum(axis=0) / 16_000.0)
+@pytest.mark.parametrize("rms", [0.02, 0.05])
+@pytest.mark.parametrize("stretch", [4, 16])
+def test_the_deviation_of_the_mean_slope_follows_steeper_and_longer_grades(
+    stretch: int, rms: float
+) -> None:
+    error, std = mean_errors(stretch, rms)
+    assert 0.6 < np.sqrt(np.mean((error / std) ** 2)) < 1.3
+    expected = rms * np.sqrt(stretch / 160.0)
+    assert 0.7 * expected < np.median(std) < 1.6 * expected
+
+
+def test_a_drive_that_has_just_begun_has_the_slopes_of_usual_roads() -> None:
+    nothing, first = road_slopes(np.zeros((0, 4)), 0.02), road_slopes(slopes(4)[:1], 0.02)
+    for found in (nothing, first):
+        np.testing.assert_allclose(np.sqrt(found.variances), 0.02, rtol=0.1)
+    standing = np.tile([0.05, 0.0, 1.0, 0.0], (20, 1))  # at rest on a slope
+    found = road_slopes(standing, 0.02)
+    assert found.mean[0] == pytest.approx(0.05)
+    assert np.sqrt(found.mean_variance[0]) > 0.018
 
 
 @pytest.mark.parametrize("squat", [0.0, 0.006])

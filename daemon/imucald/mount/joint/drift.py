@@ -10,7 +10,7 @@ the vertical and the zero errors of both sensors. These zero errors are slow ran
 
     left = g u + b + v (0, -z_r, z_q) + B (dv/dt, v r, dr/dt, r^2, (v r)^2, d(v r)/dt) + noise
     u'   = r u_y - q, p - r u_x        (p, q, r) = rate - z - e r
-    u = m + slope, a new slope every `SLOPE_M` metres (`drive.roads.slope_way`)
+    u = m + slope, white noise over the distance (`drive.roads.Slopes.density`)
 
 left: force minus the motion's part (3). u: horizontal part of the vertical (2). z: zero error of
 the rate (3). e: tilt of the gyroscope (2). m: tilt of the working axes (2). b: zero error of the
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags, inverse, solved
 from imucald.core.samples import GRAVITY
-from imucald.drive.roads import SLOPE, SLOPE_M, slope_way
+from imucald.drive.roads import slope_way
 from imucald.drive.vertical import VERTICAL_WALK
 from imucald.motion.standstill import MAX_GYRO_BIAS
 from imucald.motion.ticks import TICK_S
@@ -155,7 +155,6 @@ class Drifts(NamedTuple):
     """
     tilt: float = 0.03
     """Tilt of the working axes relative to the vehicle's axes [rad]."""
-    slope: float = SLOPE
     noise: float = 0.1
     """Initial noise of a mean [m/s^2]. The filter then estimates the noise of each axis from the
     data.
@@ -291,7 +290,7 @@ class ZeroDrift:
 
     def add_block(
         self, left: Array, rate: Array, speed: Array, accel: Array, use: Flags, rate_zero: Array,
-        rate_walk: Array,
+        rate_walk: Array, slopes: Array,
     ) -> None:  # fmt: skip
         """Process a block of N = 64 ticks in the working axes.
 
@@ -301,7 +300,8 @@ class ZeroDrift:
         left: (N, 3) force minus the motion's part [m/s^2]. rate: (N, 3) rate after the zero error
         rate_zero (3,) was subtracted [rad/s]. speed: (N,) [m/s]. accel: (N,) [m/s^2]. use: (N,)
         flags of the usable ticks. rate_walk: (3, 3) growth of the variance of an angle that is
-        integrated from the rate [rad^2/s].
+        integrated from the rate [rad^2/s]. slopes: (2,) density of the roads' slopes along and
+        across the vehicle [m], see `drive.roads.Slopes.density`.
         """
         if self._blocks % ONSET_BLOCKS == 0:
             self._begin_ramp()
@@ -325,7 +325,7 @@ class ZeroDrift:
             diagonal[UP] += (self._drifts.lost * (STEP - used[first])) ** 2
             held = np.flatnonzero(used[first:stop] >= STEP // 2)
             path = self._path(turns[first:stop])
-            self._take(path, means[first:stop], held, float(passed[first:stop].sum()))
+            self._take(path, means[first:stop], held, float(passed[first:stop].sum()), slopes)
             self._steps += stop - first
 
     def found(self) -> Drift:
@@ -427,12 +427,14 @@ class ZeroDrift:
         slopes[:, 0, 4], slopes[:, 1, 4] = made[:, 3].real, made[:, 3].imag
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)
 
-    def _take(self, path: _Path, means: Array, held: NDArray[np.int_], passed: float) -> None:
+    def _take(
+        self, path: _Path, means: Array, held: NDArray[np.int_], passed: float, slopes: Array
+    ) -> None:
         """Update the state with the means (n, 10) of the steps `held`.
 
         Then update the vertical at the end of the last step with the prior of road slopes. The
-        weight of this prior depends on the distance passed [m], see `slope_way`. Finally predict
-        the state at the end of the steps.
+        variance of this prior is slopes (2,) [m] divided by the distance passed [m], see
+        `slope_way`. Finally predict the state at the end of the steps.
         """
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n
@@ -442,7 +444,7 @@ class ZeroDrift:
             H[n:] = end
             H[n, TILT.start] = H[n + 1, TILT.start + 1] = -1.0
             off[n:] = self._mean[TILT] - path.up[-1]
-            noise[n:] = self._drifts.slope**2 * SLOPE_M / passed
+            noise[n:] = slopes / passed
         P, ramps, sudden = self._covariance, self._ramps, self._sudden
         seen = H @ P
         since = (self._steps + 0.5 + held[:, None] - ramps.began) * STEP_S

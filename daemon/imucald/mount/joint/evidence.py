@@ -26,7 +26,7 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive import equations as eq
 from imucald.drive import windows as wd
-from imucald.drive.roads import SLOPE_M, mean_slopes, slope_way, without_bend
+from imucald.drive.roads import SLOPE_M, Slopes, mean_slopes, road_slopes, slope_way, without_bend
 from imucald.drive.speed_knots import known_rate, known_times, means_between
 from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
@@ -74,7 +74,7 @@ from imucald.mount.joint.state import (
     without_gains,
     zero_row,
 )
-from imucald.mount.joint.sudden_changes import SuddenChange
+from imucald.mount.joint.sudden_changes import MOST_ONSETS, SuddenChange
 from imucald.mount.joint.sums import Fits, WindowSums
 
 Complex = NDArray[np.complex128]
@@ -405,6 +405,7 @@ class Evidence:
         slopes = priors.slope, priors.crown[0]
         self._unknown = UnknownSpeed(*slopes, is_carried=signals.gyro, steered=signals.steered)
         self._levels: Array = np.zeros((0, 6))
+        self._roads: dict[int, Slopes] = {}  # by number of blocks
         self._done = self._followed = 0
         self._drift, self._found_drift = ZeroDrift(), NO_DRIFT
         self._drift_axes, self._drift_delay = NO_AXES, math.inf
@@ -538,6 +539,7 @@ class Evidence:
         self._breaks = {0} | {k - count for k in self._breaks if k > count}
         self._sums.forget(count)
         self._levels = self._levels[count:]
+        self._roads.clear()
         self._done = max(self._done - count, 0)
         self._followed = max(self._followed - count, 0)
 
@@ -547,6 +549,7 @@ class Evidence:
         self._tail: tuple[Array, Flags, Array, Array] | None = None
         self._sums.restart()
         self._levels = np.zeros((0, 6))
+        self._roads.clear()
         self._done = 0
 
     def _reset_drift(self) -> None:
@@ -598,7 +601,7 @@ class Evidence:
 
     def _follow_drift(self) -> None:
         """Give the new blocks to the filter that tests for a drift of the zero error."""
-        V = self._drift_axes[1]
+        V, slopes = self._drift_axes[1], self._slopes(MOST_ONSETS).density
         for first, stop in self._joined_since(self._followed):
             if first in self._breaks:
                 self._drift.restart()
@@ -608,7 +611,7 @@ class Evidence:
             for k, b in enumerate(self._blocks[first:stop]):
                 part = slice(k * wd.BLOCK, (k + 1) * wd.BLOCK)
                 ticks = left[part], rate[part], speed[part], accel[part]
-                self._drift.add_block(*ticks, b.use, V @ b.rate_zero, V @ b.rate_walk @ V.T)
+                self._drift.add_block(*ticks, b.use, V @ b.rate_zero, V @ b.rate_walk @ V.T, slopes)
             self._followed = stop
 
     def _in_axes(
@@ -739,6 +742,14 @@ class Evidence:
         rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square, ahead * use])
         blocks = rows.reshape(-1, wd.BLOCK, 6).sum(axis=1)
         self._levels = np.concatenate([self._levels, blocks])
+
+    def _slopes(self, last: int = 0) -> Slopes:
+        """Return the slopes of the roads. last: number of last blocks that are left out."""
+        count = max(len(self._levels) - last, 0)
+        if count not in self._roads:
+            levels = self._levels[:count, :4] / [GRAVITY, GRAVITY, 1.0, 1.0]
+            self._roads[count] = road_slopes(levels, self._priors.slope)
+        return self._roads[count]
 
     # solving -------------------------------------------------------------------------------------
 
@@ -933,7 +944,8 @@ class Evidence:
                 if (i, j) == (2, 1) and not has_gyro:  # -v q of bends that lean is in it
                     rows[m, CROWN] = -1.0
                     value[m] += priors.crown[0] * gain[1]
-                    C[m, m] += priors.turning[1] ** 2 + priors.slope**2 / answers.segments[k, place]
+                    leaning = _over_segments(self._slopes(), answers.segments[k])
+                    C[m, m] += priors.turning[1] ** 2 + leaning[place, 1]
             scale = gain[[j for _, (_, j) in answered]]
             C = C / np.outer(scale, scale)
             measured.append(LinearMeasurement(rows, value / scale, C))
@@ -941,9 +953,9 @@ class Evidence:
         level, lean = self._level_measured()
         variances |= {k: float(m.covariance[0, 0]) for k, m in zip(LEVELS, level, strict=True)}
         if has_gyro:
-            turning, leaning = self._turning_measured()
+            turning, of_bends = self._turning_measured()
             variances |= {ANSWERS[i, 2]: float(m.covariance[0, 0]) for i, m in enumerate(turning)}
-            shared = np.minimum(lean, leaning)  # the roads of the bends are a part of all roads
+            shared = np.minimum(lean, of_bends)  # the roads of the bends are a part of all roads
             level = [joined(*pair) for pair in zip(level, turning, shared, strict=True)]
         measured += level
         if self._follows_drift:
@@ -1019,9 +1031,9 @@ class Evidence:
         if not self.signals.gyro:
             return
         size, variance = turning.changes(turning.by_segment(True, is_weighted=False), spans)
+        roads = _over_segments(self._slopes(MOST_ONSETS), spans)
         for i in range(2):
-            roads = priors.turning[i] ** 2 + priors.slope**2 / spans
-            own = variance[i, :, 0] + roads
+            own = variance[i, :, 0] + priors.turning[i] ** 2 + roads[:, i]
             yield EntryChange(rate_entry(i, 2)[PHI], size[i, :, 0], own, ROAD_TAIL)
 
     def creep(self, chance: float, shifts: int) -> Creep | None:
@@ -1064,9 +1076,9 @@ class Evidence:
     def _level_series(self) -> list[SegmentSeries]:
         """Return the evidence from the horizontal force, by road segment."""
         along, across, weight, metres = self._levels_by_segment().T
-        known = (1.0 + metres / SLOPE_M) / self._priors.slope**2 * (weight > 0.0)
-        made = []
+        slopes, made = self._slopes().over(metres), []
         for i, (name, level) in enumerate(zip(LEVELS, (along, across), strict=True)):
+            known = (weight > 0.0) / slopes[:, i]
             angle = -TURN[i, 2][1] * level / np.maximum(weight, 1e-9)
             left = known * (angle - float(known @ angle) / float(known.sum()))
             made.append(SegmentSeries(name, left, known, self.variances[name]))
@@ -1085,12 +1097,14 @@ class Evidence:
 
     def _levels_changed(self, spans: NDArray[np.int_]) -> Iterator[EntryChange]:
         """Yield the changes of the horizontal force. spans: numbers of last road segments, each
-        compared with the segments before the longest span.
+        compared with the segments before the longest span. These earlier segments also show how
+        hilly the roads are.
         """
         levels = self._levels_by_segment(to_last=True)
         began = (len(levels) - spans).tolist()
         parts = [(0, began[-1]), *((first, len(levels)) for first in began)]
-        means, variances = mean_slopes(levels, np.array(parts), self._priors.slope)
+        means, metres = mean_slopes(levels, np.array(parts))
+        variances = road_slopes(levels[: began[-1]], self._priors.slope).over(metres)
         for i in range(2):
             size, variance = means[1:, i] - means[0, i], variances[1:, i] + variances[0, i]
             yield EntryChange(level_row(i)[PHI], size, variance, ROAD_TAIL)
@@ -1101,9 +1115,9 @@ class Evidence:
         """
         priors = self._priors
         levels = self._levels[:, :5] / [GRAVITY, GRAVITY, 1.0, 1.0, GRAVITY]
-        whole = np.array([[0, len(levels)]])
-        (mean,), (variance,) = mean_slopes(levels[:, :4], whole, priors.slope)
-        lean = variance.copy()
+        slopes = self._slopes()
+        lean = slopes.mean_variance
+        mean, variance = slopes.mean.copy(), lean.copy()
         if self.signals.bend:
             mean[1], variance[1] = without_bend(levels, variance[1], self.signals.bend)
         stds = np.array([b.turn_zero_std for b in self._blocks[: len(levels)]])
@@ -1126,7 +1140,7 @@ class Evidence:
         """
         priors, out = self._priors, []
         found = self._sums.turning.respond(ALL_BANDS)
-        leaning = priors.slope**2 / found.segments[:, 0]
+        leaning = _over_segments(self._slopes(), found.segments[:, 0]).diagonal()
         for i in range(2):
             row = rate_entry(i, 2)
             if i == 1:
@@ -1194,6 +1208,11 @@ def force_fits(signals: OtherSignals) -> Fits:
         if signals.steered:
             spread[0, -1] = STEERED_GAIN
     return Fits(tuple(columns), noise, spread, keep=2)
+
+
+def _over_segments(slopes: Slopes, segments: Array | NDArray[np.int_]) -> Array:
+    """Return the variances (n, 2) of the mean slope of the bends in road segments (n,)."""
+    return slopes.over(SLOPE_M * (segments - 1.0))
 
 
 def _leaning(lateral: Array, accel: Array) -> Array:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, inverse
-from imucald.drive.roads import PRIOR_SEGMENTS
 from imucald.drive.windows import BAND, BANDS, OVERLAP
 
 SEGMENTS: Final = (4, 16)
@@ -35,11 +34,11 @@ previous solution.
 """
 NOISE_WINDOWS = 3.0
 """Weight of the expected noise against the noise of the drive, in windows."""
-PRIOR_RATIO = 2.0
+PRIOR_RATIO, PRIOR_SEGMENTS = 2.0, 5.0
 """Expected ratio between the variance from the spread of road segments and the variance of the
-model. `PRIOR_SEGMENTS` is the weight of this prior.
+model, and weight of this prior in road segments.
 
-The value was chosen on the drives that are listed in `state.Priors`.
+The values were chosen on the drives that are listed in `state.Priors`.
 """
 _BINS = np.bincount(BAND, minlength=BANDS).astype(float)
 
