@@ -106,7 +106,7 @@ def opened(path: Path) -> Iterator[Any]:
             raise ImucaldError(f"{path}: cannot be read: {why}")
         file.seek(0)
         try:
-            opening = asammdf.MDF(file)
+            opening = asammdf.MDF(file, process_bus_logging=False)
         except Exception as error:
             _close_half_made(error)
             raise
