@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+import time
 import tracemalloc
 import zlib
 from collections.abc import Callable
@@ -15,7 +16,9 @@ import pytest
 from imucald.can.logs.log_reader import LogReader
 from imucald.can.logs.unpacking import FREE_BYTES
 from imucald.core.errors import LogError
+from paths import ROOT
 
+FUZZED = ROOT / "tests" / "fuzz" / "corpus"
 LONG = 4 * FREE_BYTES
 MOST = 3 * FREE_BYTES
 """A block that is taken, the one before it and both as one [bytes]."""
@@ -72,6 +75,13 @@ def long_first_block(folder: Path) -> Path:
     return sparse(folder / "drive.pcapng", head)
 
 
+def long_record(folder: Path) -> Path:
+    """An MF4 file of 3,632 bytes whose group states records of 4 GiB."""
+    path = folder / "drive.mf4"
+    path.write_bytes((FUZZED / "mf4_log" / "981f2b0c711becd66b8fbe52b3a7a76c3e3c72b3").read_bytes())
+    return path
+
+
 def long_row(folder: Path) -> Path:
     path = folder / "drive.db"
     columns = "ts, arbitration_id, extended, remote, error, dlc, data"
@@ -90,6 +100,7 @@ def long_row(folder: Path) -> Path:
         blf_object_over_many_containers,
         long_packet,
         long_first_block,
+        long_record,
         long_row,
     ],
 )
@@ -105,6 +116,14 @@ def test_a_length_that_no_recording_has_takes_no_memory(
     finally:
         tracemalloc.stop()
     assert peak < MOST
+
+
+def test_an_mf4_whose_record_is_longer_than_its_data_is_refused_at_once(tmp_path: Path) -> None:
+    path = long_record(tmp_path)
+    began = time.process_time()
+    with pytest.raises(LogError, match="states 12834570492 bytes of records, but has 252"):
+        list(LogReader([path], None))
+    assert time.process_time() - began < 1.0
 
 
 @pytest.mark.parametrize("column", [0, 1, 4, 5])

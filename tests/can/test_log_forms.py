@@ -375,6 +375,80 @@ def test_an_mf4_whose_list_leads_back_into_itself_is_refused(
         list(LogReader([path]))
 
 
+def with_records(whole: bytes, stated: int, *, invalidation: int = 0, unfinished: int = 0) -> bytes:
+    """An MF4 file whose first group states other records; unfinished: what its recorder left."""
+    changed = bytearray(whole)
+    at = whole.index(b"##CG") + 24 + 8 * 6
+    struct.pack_into("<Q", changed, at + 8, stated)
+    struct.pack_into("<I", changed, at + 28, invalidation)
+    if unfinished:
+        changed[:8] = b"UnFinMF "
+        struct.pack_into("<H", changed, 60, unfinished)
+    return bytes(changed)
+
+
+@pytest.mark.parametrize("unfinished", [0, 4])
+@pytest.mark.parametrize(("stated", "invalidation"), [(1 << 60, 0), (1, 0xFF00_0000), (0, 0)])
+def test_an_mf4_that_states_records_other_than_its_data_is_refused(
+    tmp_path: Path, stated: int, invalidation: int, unfinished: int
+) -> None:
+    """asammdf takes memory for too many. It reads data without records for ever."""
+    path = tmp_path / "a.mf4"
+    whole = written_mf4(path)
+    path.write_bytes(with_records(whole, stated, invalidation=invalidation, unfinished=unfinished))
+    with pytest.raises(LogError, match=r"states \d+ bytes of records, but has \d+ bytes"):
+        list(LogReader([path]))
+
+
+@pytest.mark.parametrize("stated", [0, 1 << 60])
+def test_an_mf4_that_was_not_finished_needs_no_number_of_records(
+    tmp_path: Path, stated: int
+) -> None:
+    path = tmp_path / "a.mf4"
+    path.write_bytes(with_records(written_mf4(path), stated, unfinished=1))
+    assert len(frames_of(*LogReader([path], strict=True))) == 400
+
+
+def test_an_mf4_that_states_no_records_of_one_of_two_mixed_groups_is_read_to_its_end(
+    tmp_path: Path,
+) -> None:
+    """asammdf lists the ids of its data for ever."""
+    path = tmp_path / "a.mf4"
+    whole = bytearray(with_records(written_mf4(path), 0))
+    one = whole.index(b"##DG") + 24
+    two, first = struct.unpack_from("<QQ", whole, one)
+    after, second = struct.unpack_from("<QQ", whole, two + 24)
+    of_one, of_two = (struct.unpack_from("<I", whole, at + 24 + 72)[0] for at in (first, second))
+    struct.pack_into("<QQQQB", whole, one, after, first, len(whole), 0, 1)
+    struct.pack_into("<Q", whole, first + 24, second)
+    struct.pack_into("<QQ", whole, second + 24 + 48, 2, 5)
+    data = 5 * (b"\1" + bytes(of_one) + b"\2" + bytes(of_two))
+    whole += struct.pack("<4s4xQQ", b"##DT", 24 + len(data), 0) + data
+    path.write_bytes(whole)
+    assert list(LogReader([path])) == []
+
+
+@pytest.mark.parametrize("unfinished", [0, 1, 4, 5, 16])
+def test_an_mf4_whose_list_of_data_has_parts_is_read_if_asammdf_need_not_finish_it(
+    tmp_path: Path, unfinished: int
+) -> None:
+    """asammdf looks at the first part for ever."""
+    path = tmp_path / "a.mf4"
+    whole = bytearray(with_records(written_mf4(path), 400, unfinished=unfinished))
+    link = whole.index(b"##DG") + 24 + 8 * 2
+    (data,) = struct.unpack_from("<Q", whole, link)
+    whole += bytes(-len(whole) % 8)
+    struct.pack_into("<Q", whole, link, len(whole))
+    for following, block in ((len(whole) + 56, data), (0, 0)):
+        whole += struct.pack("<4s4xQQQQIIQ", b"##DL", 56, 2, following, block, 0, bool(block), 0)
+    path.write_bytes(whole)
+    if unfinished & (4 | 16):
+        with pytest.raises(LogError, match=r"not finished, and its list of data .* several parts"):
+            list(LogReader([path]))
+    else:
+        assert len(frames_of(*LogReader([path], strict=True))) == 400
+
+
 def frame(can_id: int, data: bytes, marks: int = 0) -> bytes:
     """A frame as linktype 227 has it (tcpdump.org/linktypes/LINKTYPE_CAN_SOCKETCAN.html)."""
     return struct.pack(">IBBBB", can_id, len(data), marks, 0, 0) + data

@@ -2,18 +2,21 @@
 
 For a cut file, asammdf only reports that it cannot seek. The compiled code of asammdf trusts the
 stated position of a channel. A position outside the record makes it write to wrong memory, and the
-process crashes later. A list that links back to itself causes an endless loop.
+process crashes later. A list that links back to itself causes an endless loop. So does a list of
+data with several parts in an unfinished file. asammdf takes memory for the stated records,
+whatever the length of their data.
 
 Layout of ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
 other blocks. A file that its recorder did not finish (UnFinMF) does not state all lengths. Its
 missing parts are not an error, but its unpacked size and the positions of its channels are checked.
+asammdf counts the records of such a file itself.
 """
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from imucald.can.logs.unpacking import FREE_BYTES, MOST_TIMES, unpacks_to_too_much
 
@@ -21,8 +24,16 @@ _BLOCK: Final = struct.Struct("<4s4xQQ")
 """Kind, length, number of links; the links follow."""
 _DEFLATED: Final = struct.Struct("<2sBxIQQ")
 """Data of a ##DZ block after its links: kind, method, parameter, unpacked bytes, packed bytes."""
-_GROUP: Final = struct.Struct("<24xII")
-"""Data of a ##CG block after its links: bytes of a record, bytes of its invalidation bits."""
+_GROUP: Final = struct.Struct("<8xQH6xII")
+"""Data of a ##CG block after its links: records, flags, bytes of a record, bytes of its
+invalidation bits."""
+_VLSD: Final = 1
+"""Flag of a ##CG block: records of any length; the bytes of a record are those of all together."""
+_UNFINISHED: Final = struct.Struct("<60xH")
+"""Flags of the identification: what the recorder did not finish."""
+_RECORDS_OPEN, _LENGTH_OPEN, _LIST_OPEN = 1, 4, 16
+"""Flags: the records of groups are not counted; the length of the last data block is not stated;
+the last part of a list of data is not complete."""
 _CHANNEL: Final = struct.Struct("<3xBII")
 """Data of a ##CN block after its links: first bit, first byte, number of bits."""
 _FIRST: Final = 64
@@ -34,22 +45,55 @@ _OWN_LINKS: Final = {
 """Number of first links that point to parts of the block or to the next block; None: all links."""
 
 
+class _Group(NamedTuple):
+    """A channel group: its links, stated records and flags."""
+
+    following: int
+    first_channel: int
+    records: int
+    flags: int
+    record: int
+    """Bytes of one record, with its invalidation bits."""
+
+
 class _Structure:
-    """The blocks of a file. Checks that no block is used twice and that channels fit the record."""
+    """The blocks of a file. Checks that no block is used twice, that channels fit the record and
+    that records fit their data."""
 
-    def __init__(self) -> None:
+    def __init__(self, unfinished: int) -> None:
+        self._unfinished = unfinished
         self._placed, self._twice = {_FIRST}, 0
-        self._groups: list[tuple[int, int]] = []  # first channel, bytes of a record
+        self._data_groups: dict[int, tuple[int, int, int]] = {}  # group, data, bytes of record ids
+        self._groups: dict[int, _Group] = {}
         self._channels: dict[int, tuple[int, int, int]] = {}  # next, composition, end [bytes]
+        self._lists: dict[int, tuple[int, ...]] = {}  # blocks of a list of data
+        self._in_parts: set[int] = set()  # lists of data with a following part
+        self._held: dict[int, int] = {}  # bytes of a data block, unpacked
 
-    def register_block(self, at: int, kind: bytes, links: tuple[int, ...], data: bytes) -> None:
-        """Register a block; data: the bytes after its links."""
+    def register_block(
+        self, at: int, kind: bytes, links: tuple[int, ...], data: bytes, length: int
+    ) -> None:
+        """Register a block; data: the first of its `length` bytes after its links."""
         for link in filter(None, links[: _OWN_LINKS.get(kind, 0)]):
             if link in self._placed:
                 self._twice = self._twice or link
             self._placed.add(link)
-        if kind == b"##CG" and len(links) > 1 and len(data) >= _GROUP.size:
-            self._groups.append((links[1], sum(_GROUP.unpack_from(data))))
+        if kind == b"##DG" and len(links) > 2 and data:
+            self._data_groups[at] = links[1], links[2], data[0]
+        elif kind == b"##CG" and len(links) > 1 and len(data) >= _GROUP.size:
+            records, flags, samples, invalidation = _GROUP.unpack_from(data)
+            self._groups[at] = _Group(links[0], links[1], records, flags, samples + invalidation)
+        elif kind == b"##LD":
+            # It leaves out the invalidation bits of valid records: no more bytes than samples.
+            self._lists[at] = links + links[1:]
+        elif kind in (b"##HL", b"##DL"):
+            self._lists[at] = links[: _OWN_LINKS[kind]]
+            if kind == b"##DL" and any(links[:1]):
+                self._in_parts.add(at)
+        elif kind == b"##DZ" and len(data) >= _DEFLATED.size:
+            self._held[at] = _DEFLATED.unpack_from(data)[3]
+        elif kind in (b"##DT", b"##DV", b"##DI"):
+            self._held[at] = length
         elif kind == b"##CN" and len(links) > 1 and len(data) >= _CHANNEL.size:
             bit, byte, bits = _CHANNEL.unpack_from(data)
             self._channels[at] = links[0], links[1], byte + (bit + bits + 7) // 8
@@ -58,32 +102,63 @@ class _Structure:
         """Return the damage in words, or None."""
         if self._twice:
             return f"the file is damaged: two links point to the block at byte {self._twice}"
-        for first, record in self._groups:
-            waiting, seen = [first], set()
+        for group in self._groups.values():
+            waiting, seen = [group.first_channel], set()
             while waiting:
                 at = waiting.pop()
                 if at in seen or at not in self._channels:
                     continue
                 seen.add(at)
                 following, composition, end = self._channels[at]
-                if end > record:
+                if end > group.record:
                     return f"the file is damaged: a channel at byte {at} lies beyond its record"
                 waiting += [following, composition]
+        return next(filter(None, map(self._damage_of_records, self._data_groups)), None)
+
+    def _damage_of_records(self, at: int) -> str | None:
+        """Return why the records of a data group do not fit its data, or None."""
+        first, data, id_bytes = self._data_groups[at]
+        begins = {data, *self._lists.get(data, ())[:1]}  # the list, or the list of a header
+        if self._unfinished & (_LENGTH_OPEN | _LIST_OPEN) and begins & self._in_parts:
+            return f"it was not finished, and its list of data at byte {data} has several parts"
+        if self._unfinished & _RECORDS_OPEN:
+            return None
+        held = self._bytes_held(data)
+        stated, group = 0, self._groups.get(first)
+        while group is not None:
+            if not group.flags & _VLSD:
+                stated += group.records * (id_bytes + group.record)
+            group = self._groups.get(group.following)
+        if stated > held or held > stated == 0:
+            return (
+                f"the file is damaged: the group at byte {at} states {stated} bytes of records, "
+                f"but has {held} bytes of data"
+            )
         return None
+
+    def _bytes_held(self, at: int) -> int:
+        """Return the unpacked bytes of a data block or of a list. No block is linked twice."""
+        held, waiting = 0, [at]
+        while waiting:
+            at = waiting.pop()
+            held += self._held.get(at, 0)
+            waiting += self._lists.get(at, ())
+        return held
 
 
 def mf4_end(path: Path) -> str | None:
     """Return why an MF4 file is incomplete or unreadable; None if all linked blocks are there."""
     size = path.stat().st_size
     unpacked = 0
-    structure = _Structure()
     with path.open("rb") as file:
-        begins = file.read(8)
+        begins = file.read(_FIRST)
         is_finished = begins.startswith(b"MDF")
-        if not is_finished and begins != b"UnFinMF ":
+        if not is_finished and not begins.startswith(b"UnFinMF "):
             return None
         if size < _FIRST + _BLOCK.size:
             return "the file is cut within its header"
+        (unfinished,) = _UNFINISHED.unpack_from(begins)
+        structure = _Structure(unfinished)
         waiting, seen = [_FIRST], {0, _FIRST}
         while waiting and len(seen) < MAX_BLOCKS:
             at = waiting.pop()
@@ -102,7 +177,9 @@ def mf4_end(path: Path) -> str | None:
             named = file.read(8 * min(count, size // 8))
             links = struct.unpack(f"<{len(named) // 8}Q", named[: len(named) // 8 * 8])
             head = file.read(max(_DEFLATED.size, _GROUP.size))
-            structure.register_block(at, kind, links, head)
+            end = size if unfinished & _LENGTH_OPEN else min(at + length, size)
+            length = max(end - file.tell() + len(head), 0)
+            structure.register_block(at, kind, links, head, length)
             if kind == b"##DZ" and len(head) >= _DEFLATED.size:
                 _, _, _, stated, packed = _DEFLATED.unpack_from(head)
                 file.seek(at + _BLOCK.size + 8 * count + _DEFLATED.size)
@@ -116,4 +193,4 @@ def mf4_end(path: Path) -> str | None:
                     return f"its unpacked blocks would be larger than {MOST_TIMES} times the file"
             waiting += [link for link in links if link not in seen]
             seen.update(links)
-    return structure.damage()
+    return f"it names more than {MAX_BLOCKS} blocks" if waiting else structure.damage()
