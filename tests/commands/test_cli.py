@@ -408,8 +408,20 @@ def test_a_service_whose_program_systemd_hides_is_refused_before_anything_is_wri
         assert "Nothing was written" in error
         assert "sudo /opt/imucald/bin/imucald install-service" in error
     assert not list(tmp_path.iterdir())
-    assert cli.main([*order, "/tmp/v/imucald", "--root", str(tmp_path / "image")]) == 0
-    assert (tmp_path / "image").exists()
+
+
+def test_an_image_gets_no_service_whose_program_systemd_would_hide(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/tmp/v/bin/python")
+    order = ["install-service", "--root", str(tmp_path)]
+    for hidden in ([], ["--exec", "/home/u/imucald"]):
+        assert cli.main([*order, *hidden]) == 1
+        assert "--exec /opt/imucald/bin/imucald" in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
+    assert cli.main([*order, "--exec", "/opt/imucald/bin/imucald"]) == 0
+    (unit,) = tmp_path.rglob("imucald@.service")
+    assert "  /opt/imucald/bin/imucald run " in unit.read_text()
 
 
 def test_the_next_steps_of_an_installation_load_every_file_that_it_wrote(

@@ -33,6 +33,13 @@ _PACKAGED = "/usr/bin/imucald"
 HIDDEN = tuple(map(Path, ("/home", "/root", "/run/user", "/tmp", "/var/tmp")))
 """Folders that a unit cannot see because of ProtectHome=yes and PrivateTmp=yes."""
 
+_REMEDY = (
+    "Install imucald into another folder, for example with: "
+    "sudo python3 -m venv /opt/imucald && sudo /opt/imucald/bin/pip install . "
+    "Then run: sudo /opt/imucald/bin/imucald install-service"
+)
+_REMEDY_IMAGE = "Name the program of the image, for example: --exec /opt/imucald/bin/imucald"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `install-service`."""
@@ -53,7 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("/"),
         metavar="DIR",
-        help="write into an image: all paths are put under DIR (default: /, this system)",
+        help="write into an image: all paths are put under DIR (default: /, this system). If the "
+        "image has its program elsewhere, name that with --exec",
     )
     parser.add_argument(
         "--exec",
@@ -68,9 +76,8 @@ def run(options: argparse.Namespace) -> int:
 
     command = options.exec or f"{sys.executable} -m imucald"
     data = resources.files("imucald") / "data"
-    if options.root == Path("/"):
-        package = [] if options.exec else [str(Path(__file__).parents[1])]
-        _refuse_hidden([*_words(command)[:1], *package])
+    package = [] if options.exec else [str(Path(__file__).parents[1])]
+    _refuse_hidden([*_words(command)[:1], *package], options.root)
     base = options.root / options.prefix.relative_to(options.prefix.anchor)
     for name, place in FILES.items():
         text = (data / name).read_text("utf-8")
@@ -81,7 +88,8 @@ def run(options: argparse.Namespace) -> int:
     print("next: put the configuration in /etc/imucald/can0.yaml, its databases next to it, then")
     print("  sysctl --system && udevadm control --reload")
     print("  systemctl daemon-reload && systemctl enable --now imucald@can0")
-    print("the send queue is set when an interface is added: restart, or load its driver again")
+    print("the send queue is set when an interface is added: for an interface that exists already,")
+    print("restart the machine or load the interface's driver again")
     return 0
 
 
@@ -107,15 +115,17 @@ def _write(path: Path, text: str) -> None:
     print(path)
 
 
-def _refuse_hidden(programs: Iterable[str]) -> None:
+def _refuse_hidden(programs: Iterable[str], root: Path) -> None:
     """Raise ConfigError if a systemd unit could not see one of these files, or the target of its
-    symbolic link."""
+    symbolic link.
+
+    root: folder of the image in which the unit will run. The links of an image are not followed.
+    """
+    is_image = root != Path("/")
     for program in map(Path, filter(os.path.isabs, programs)):
-        for path in (program, program.resolve()):
+        for path in (program, program if is_image else program.resolve()):
             if hiding := [str(folder) for folder in HIDDEN if path.is_relative_to(folder)]:
                 raise ConfigError(
                     f"the service would run {path}, but systemd hides {hiding[0]} from it. Nothing "
-                    "was written. Install imucald into another folder, for example with: "
-                    "sudo python3 -m venv /opt/imucald && sudo /opt/imucald/bin/pip install . "
-                    "Then run: sudo /opt/imucald/bin/imucald install-service"
+                    f"was written. {_REMEDY_IMAGE if is_image else _REMEDY}"
                 )
