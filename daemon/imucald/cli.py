@@ -79,7 +79,7 @@ GROUPS = {
     "run imucald in a vehicle": {
         "run": "calibrate on a live bus and send corrected frames",
         "status": "show the state of a running daemon",
-        "wait": "wait until a running daemon sends good frames",
+        "wait": "wait until a running daemon sends corrected frames of a quality",
         "monitor": "watch a running daemon",
         "install-service": "install the systemd unit and its additional files",
     },

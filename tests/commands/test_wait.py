@@ -95,13 +95,26 @@ def test_a_line_in_which_only_numbers_change_is_not_repeated_each_second(daemon,
 
 @pytest.mark.parametrize(
     ("state", "quality", "wanted", "status"),
-    [("usable", 2, "fine", 4), ("levelled", 0, "usable", 5), ("suspect", 4, "usable", 6)],
+    [
+        ("usable", 2, "fine", 4),
+        ("restored", 1, "usable", 4),
+        ("levelled", 0, "usable", 5),
+        ("suspect", 4, "usable", 6),
+    ],
 )
 def test_after_the_timeout_the_exit_status_is_that_of_status(
     daemon, tmp_path, state, quality, wanted, status
 ):
     daemon.now = daemon.now | {"state": state, "quality": quality}
     assert waited(tmp_path, "--state", wanted, "--timeout", "0", "-q") == status
+
+
+def test_the_help_says_that_a_restored_mount_ends_the_timeout_like_a_usable_one(capsys):
+    with pytest.raises(SystemExit):
+        main(["wait", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "0 the quality is reached; no other exit status means this" in said
+    assert "4 usable or restored" in said
 
 
 def test_a_known_mount_without_input_is_not_reached(daemon, tmp_path, capsys):

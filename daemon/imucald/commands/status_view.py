@@ -38,7 +38,7 @@ STYLES = {
 }
 DOUBTED = frozenset(state.name.lower() for state in BAD)
 FLOW_STYLES = {
-    FlowKind.GOOD: "bold green",
+    FlowKind.SERVED: "bold green",
     FlowKind.STARTING: "yellow",
     FlowKind.NOT_YET: "yellow",
     FlowKind.SUSPECT: "bold red",

@@ -1,4 +1,5 @@
-"""`imucald wait`: wait until a running daemon sends good frames, for scripts and test benches."""
+"""`imucald wait`: wait until a running daemon sends corrected frames of a quality, for scripts and
+test benches."""
 
 from __future__ import annotations
 
@@ -19,12 +20,12 @@ REPEAT_S = 30.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `wait`."""
     from imucald.commands.status import add_socket_argument
-    from imucald.runtime.flow import GOOD
+    from imucald.runtime.flow import SERVED
 
     add_socket_argument(parser)
     parser.add_argument(
         "--state",
-        choices=tuple(GOOD.values()),
+        choices=tuple(SERVED.values()),
         default="usable",
         help="quality of the corrected frames to wait for, or better (default: usable)",
     )
@@ -33,9 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_quiet(parser, "print no lines")
     parser.epilog = (
-        "If no daemon runs yet, the command waits for one. Exit status: 0 the quality is reached. "
-        "After the timeout, the exit status of 'imucald status': 4 usable (not fine yet), 5 not "
-        "yet, 6 suspect, 7 a fault, 3 no daemon runs, 8 the daemon does not answer."
+        "If no daemon runs yet, the command waits for one. Exit status: 0 the quality is reached; "
+        "no other exit status means this. After the timeout, the exit status of 'imucald status': "
+        "4 usable or restored (not the quality that --state names), 5 not yet, 6 suspect, 7 a "
+        "fault, 3 no daemon runs, 8 the daemon does not answer."
     )
 
 
@@ -94,9 +96,9 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
 
 
 def _is_reached(status: Mapping[str, Any], state: str) -> bool:
-    from imucald.runtime.flow import GOOD, FlowKind, flow
+    from imucald.runtime.flow import SERVED, FlowKind, flow
 
-    states = tuple(GOOD.values())  # from worst to best
-    if flow(status).kind is not FlowKind.GOOD:
+    states = tuple(SERVED.values())  # from worst to best
+    if flow(status).kind is not FlowKind.SERVED:
         return False
-    return states.index(GOOD[status["quality"]]) >= states.index(state)
+    return states.index(SERVED[status["quality"]]) >= states.index(state)

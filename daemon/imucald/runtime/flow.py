@@ -61,28 +61,32 @@ def alarms_of(health: Mapping[str, object]) -> dict[str, str]:
     return {name: words for name, words in ALARMS.items() if health.get(name)}
 
 
-GOOD = {1: "restored", 2: "usable", 3: "fine"}
+SERVED = {1: "restored", 2: "usable", 3: "fine"}
 """Qualities of corrected frames that a receiver may use, with their names, in rising order."""
 SUSPECT = 4
 
 
 class FlowKind(StrEnum):
-    """Kind of data that a receiver on the bus gets now."""
+    """What a receiver on the bus gets now, as `flow` of `imucald status --json` names it."""
 
-    GOOD = "good"
+    SERVED = "good"
+    """Corrected frames with a quality of `SERVED`. Here alone "good" includes *restored*."""
     STARTING = "starting"
+    """No frames yet: the daemon started a moment ago."""
     NOT_YET = "not yet"
-    """Frames *not available* are sent, because the mount is not known."""
+    """Frames *not available*, because the mount is not known."""
     SUSPECT = "suspect"
+    """Corrected frames that are marked *suspect*."""
     FAULTY = "faulty"
-    """Frames *not available* are sent, because the accelerometer is faulty."""
+    """Frames *not available*, because the accelerometer is faulty."""
     CONFLICT = "conflict"
-    """Another node sends frames with the same identifiers as our frames."""
+    """Corrected frames, and frames of another node with the same identifiers."""
     NONE = "none"
+    """No corrected frames: the bus is down, the accelerometer is silent, or sending failed."""
 
 
 class Flow(Struct, frozen=True):
-    """The data that receivers get now. kind: kind of the data. text: sentence with the kind and its
+    """What a receiver on the bus gets now. text: the first line of `imucald status`, with the
     cause."""
 
     kind: FlowKind
@@ -90,8 +94,7 @@ class Flow(Struct, frozen=True):
 
 
 def flow(status: Mapping[str, Any]) -> Flow:
-    """Return the kind of data that receivers get now. status: status of a daemon
-    (docs/service.md)."""
+    """Return what a receiver on the bus gets now. status: status of a daemon (docs/service.md)."""
     state, quality = status["state"], status["quality"]
     if (cause := _why_none(status)) is not None:
         return Flow(FlowKind.NONE, f"{cause}: no corrected frames (mount: {state})")
@@ -108,8 +111,8 @@ def flow(status: Mapping[str, Any]) -> Flow:
             FlowKind.SUSPECT,
             f"SUSPECT: corrected frames are sent and marked suspect (mount: {state})",
         )
-    if quality in GOOD:
-        return Flow(FlowKind.GOOD, f"corrected frames flow, marked {GOOD[quality]}")
+    if quality in SERVED:
+        return Flow(FlowKind.SERVED, f"corrected frames flow, marked {SERVED[quality]}")
     when = "not yet" if status.get("first_usable_s") is None else "not certain any more"
     return Flow(FlowKind.NOT_YET, f"{when}: corrected frames say 'not available' (mount: {state})")
 

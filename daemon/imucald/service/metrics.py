@@ -48,7 +48,7 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     yield "info", "gauge", "Which program runs.", [({"version": status["version"]}, 1)]
     yield "state", "gauge", "1 for the present state of the mount calibration.", list(states)
     yield "quality", "gauge", "Quality of the corrected frames.", [(none, status["quality"])]
-    flows = [(none, int(flow(status).kind is FlowKind.GOOD))]
+    flows = [(none, int(flow(status).kind is FlowKind.SERVED))]
     about = "1 while corrected frames are sent with quality restored, usable or fine."
     yield "corrected_frames_flow", "gauge", about, list(flows)
     yield "held", "gauge", "1 while the mount is held.", [(none, int(status["held"]))]
