@@ -51,6 +51,11 @@ def test_shorthands_and_long_forms_are_the_same():
             "car.yaml:4: signals.sped: unknown key; did you mean 'speed'?",
         ),
         (f"{HEAD}oputput: {{}}\n", "dir/car.yaml:4: oputput: unknown key; did you mean 'output'?"),
+        (
+            f"{HEAD}calibration: {{fine_yaw_deg: 1}}\n",
+            "calibration.fine_yaw_deg: unknown key; did you mean calibration.states.fine_yaw_deg?",
+        ),
+        (f"{HEAD}id: VIN\n", "car.yaml:4: id: unknown key; allowed: attitude,"),
         (f"{HEAD}output:\n  status_rate: 3\n", "dir/car.yaml:5: output.status_rate:"),
         (f"{HEAD}  speed:\n    - M.V\n    - {{unit: g}}\n", "dir/car.yaml:6: signals.speed[1]"),
         (f"{HEAD}  speed: {{signal: M.V, sign: 2}}\n", "dir/car.yaml:4: signals.speed.sign:"),

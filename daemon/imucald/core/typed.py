@@ -144,7 +144,7 @@ def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ())
     kind: the required type. at: the key of the data.
     """
     reported: set[Mistake] = set()
-    for long_place, reason in _mistakes(full, kind, ()):
+    for long_place, reason in _mistakes(full, kind, (), kind):
         place = (*at, *_real_place(long_place, data))
         if (place, reason) not in reported:
             reported.add((place, reason))
@@ -167,12 +167,15 @@ def _real_place(long_place: Place, data: Any) -> Place:
     return tuple(place)
 
 
-def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
-    """Yield the mistakes of a value that must have the type `kind` (with constraints)."""
+def _mistakes(value: Any, kind: Any, place: Place, whole: Any) -> Iterator[Mistake]:
+    """Yield the mistakes of a value that must have the type `kind` (with constraints).
+
+    whole: type of all the data, in which an unknown key may have another place.
+    """
     bare = _bare(kind)
     if value is None and NoneType in get_args(bare):
         return
-    inner = list(_inner_mistakes(value, bare, place))
+    inner = list(_inner_mistakes(value, bare, place, whole))
     if inner:
         yield from inner
         return
@@ -182,41 +185,63 @@ def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
         yield place, _reason(value, bare, str(error))
 
 
-def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+def _inner_mistakes(value: Any, kind: Any, place: Place, whole: Any) -> Iterator[Mistake]:
     """Yield the mistakes in the items of a mapping or list."""
     for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
         arguments = get_args(part)
         if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
-            yield from _of_fields(value, part, place)
+            yield from _of_fields(value, part, place, whole)
         elif get_origin(part) is tuple and isinstance(value, list):
             every = arguments[1:] == (...,)
             if every or len(arguments) == len(value):
                 for index, one in enumerate(value):
                     kind_of_one = arguments[0] if every else arguments[index]
-                    yield from _mistakes(one, kind_of_one, (*place, index))
+                    yield from _mistakes(one, kind_of_one, (*place, index), whole)
         elif get_origin(part) is dict and isinstance(value, dict):
             for key, one in value.items():
-                yield from _mistakes(one, arguments[1], (*place, key))
+                yield from _mistakes(one, arguments[1], (*place, key), whole)
 
 
-def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iterator[Mistake]:
+def _of_fields(
+    value: dict[Any, Any], model: type[Struct], place: Place, whole: Any
+) -> Iterator[Mistake]:
     hints = _hints(model)
     for key, one in value.items():
         if key in hints:
-            yield from _mistakes(one, hints[key], (*place, key))
+            yield from _mistakes(one, hints[key], (*place, key), whole)
         else:
-            yield (*place, key), _unknown(str(key), list(hints))
+            yield (*place, key), _unknown(str(key), list(hints), whole)
     for field in _fields(model):
         if field.required and field.name not in value:
             yield (*place, field.name), "is missing; it is required, add it"
 
 
-def _unknown(key: str, allowed: list[str]) -> str:
+def _unknown(key: str, allowed: list[str], whole: Any) -> str:
+    """Return what an unknown key may mean: a similar key of the same mapping, or the only key of
+    this name elsewhere."""
     import difflib  # noqa: PLC0415 - for a mistake only
 
-    close = difflib.get_close_matches(key, allowed, n=1)
-    hint = f"did you mean '{close[0]}'?" if close else "allowed: " + ", ".join(sorted(allowed))
+    meant = [repr(near) for near in difflib.get_close_matches(key, allowed, n=1)]
+    elsewhere = [place for place in _places(whole) if place[-1] == key]
+    if len(elsewhere) == 1:
+        meant.append(dotted(elsewhere[0]))
+    hint = f"did you mean {' or '.join(meant)}?" if meant else f"allowed: {', '.join(sorted(allowed))}"
     return f"unknown key; {hint}"
+
+
+def _places(kind: Any, above: Place = ()) -> Iterator[Place]:
+    """Yield the place of every key that data of a type may have; `*` stands for any name. The items
+    of a list count once, without an index."""
+    kind = _bare(kind)
+    if isinstance(kind, type) and issubclass(kind, Struct):
+        for name, inner in _hints(kind).items():
+            yield (*above, name)
+            yield from _places(inner, (*above, name))
+    elif get_origin(kind) is dict:
+        yield from _places(get_args(kind)[1], (*above, "*"))
+    elif get_origin(kind) is tuple or _is_union(kind):
+        for inner in {part: None for part in get_args(kind) if part is not ...}:
+            yield from _places(inner, above)
 
 
 def _reason(value: Any, kind: Any, text: str) -> str:
