@@ -91,6 +91,22 @@ def test_a_daemon_without_a_status_socket_reports_it_with_the_remedy(folder, tmp
     assert ("XDG_RUNTIME_DIR" in done.stderr) == (folder is None)
 
 
+@pytest.mark.parametrize("named", ["--state-dir", "STATE_DIRECTORY", None])
+def test_a_daemon_that_saves_nothing_says_so_with_the_remedy(named, tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "STATE_DIRECTORY"}
+    bus = ["--interface", "virtual", "--channel", "by-name", "--seconds", "0.01"]
+    configuration = str(ROOT / "config" / "imucald.yaml")
+    folder = ["--state-dir", str(tmp_path)] if named == "--state-dir" else []
+    if named == "STATE_DIRECTORY":
+        environment[named] = str(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "imucald", "run", "--config", configuration, *bus, *folder],
+        env=environment, stderr=subprocess.PIPE, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    assert ("the mount is not saved" in done.stderr) == (named is None)
+    assert ("--state-dir DIR" in done.stderr) == (named is None)
+
+
 @pytest.mark.parametrize("channel", [[], ["--channel", "by-root"]])
 def test_root_needs_no_folder_for_run_and_status_to_find_each_other(channel, tmp_path):
     environment = {

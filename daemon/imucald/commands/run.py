@@ -25,6 +25,11 @@ NO_SOCKET = (
     "these commands, or give --status-socket PATH to 'run' and --socket PATH to the others"
 )
 
+NOT_SAVED = (
+    "the mount is not saved, since no folder is named: the next start begins without it. Give "
+    "--state-dir DIR to save it"
+)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `run`."""
@@ -47,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--state-dir",
         type=Path,
         metavar="DIR",
-        help="folder in which the calibration is saved (default: systemd's $STATE_DIRECTORY)",
+        help="folder in which the calibration is saved (default: systemd's $STATE_DIRECTORY; "
+        "without both, nothing is saved)",
     )
     parser.add_argument(
         "--save-every",
@@ -99,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
     from imucald.service.asking import default_socket
-    from imucald.service.journal import PRIORITIES, WARNING, Journal
+    from imucald.service.journal import NOTICE, PRIORITIES, WARNING, Journal
     from imucald.service.notify import end_count, start_count_file
     from imucald.service.parts import ServiceOptions
     from imucald.service.service import Service
@@ -127,6 +133,8 @@ def run(options: argparse.Namespace) -> int:
     )
     if slow := compiled.slow_words():
         journal.say(slow)
+    if settings.state_folder is None:
+        journal.say(NOT_SAVED, NOTICE)
     if settings.status_socket is None:
         journal.say(NO_SOCKET, WARNING)
     metrics = _metrics_process(options.metrics_listen, settings.status_socket)
