@@ -26,6 +26,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from imucald import cli
 from imucald.core.errors import LinkError
+from imucald.service import exposition
 from imucald.service.asking import ask
 from imucald.service.exposition import bus_of, gathered, merged
 from imucald.service.listening import listening_at
@@ -123,6 +124,17 @@ def test_a_daemon_that_does_not_answer_is_down_and_the_others_are_reported(tmp_p
     assert answers == {"can7": 0.0, service.link.channel: 1.0}
     assert "imucald_quality" in text
     assert bus_of(Path("/run/user/0/imucald-vcan3.sock")) == "vcan3"
+
+
+def test_two_daemons_on_one_bus_have_labels_of_their_own(metrics_and_status, promtool, monkeypatch):
+    text = metrics_and_status[0]
+    monkeypatch.setattr(exposition, "ask", lambda *_: text)
+    names = ["back", "can0"]
+    both = gathered([Path("/run/imucald", name, "status.sock") for name in names])
+    families = {f.name: f for f in text_string_to_metric_families(both)}
+    for family in ("imucald_up", "imucald_quality"):
+        assert [s.labels["bus"] for s in families[family].samples] == names
+    checked(promtool, "check", "metrics", text=both)
 
 
 def test_the_text_file_is_there_whole_or_not_at_all_and_everybody_may_read_it(tmp_path, capsys):

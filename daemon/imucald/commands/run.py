@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from imucald.core.errors import ConfigError
     from imucald.service.journal import Journal
     from imucald.service.listening import ServingProcess
+    from imucald.service.parts import ServiceOptions
 
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h). This exit status tells systemd not to start the daemon
@@ -100,12 +101,11 @@ def run(options: argparse.Namespace) -> int:
     import os
 
     from imucald.commands.files import check_files, fill_standard_files, write_text
-    from imucald.core import compiled
     from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
     from imucald.service.asking import default_socket
-    from imucald.service.journal import NOTICE, PRIORITIES, WARNING, Journal
+    from imucald.service.journal import PRIORITIES, WARNING, Journal
     from imucald.service.notify import end_count, start_count_file
     from imucald.service.parts import ServiceOptions
     from imucald.service.service import Service
@@ -131,12 +131,7 @@ def run(options: argparse.Namespace) -> int:
         save_period=options.save_every,
         start_count=start_count_file(os.environ),
     )
-    if slow := compiled.slow_words():
-        journal.say(slow)
-    if settings.state_folder is None:
-        journal.say(NOT_SAVED, NOTICE)
-    if settings.status_socket is None:
-        journal.say(NO_SOCKET, WARNING)
+    _say_what_lacks(settings, journal)
     metrics = _metrics_process(options.metrics_listen, settings.status_socket)
     try:
         service = Service(settings, journal, companion=metrics)
@@ -160,6 +155,18 @@ def run(options: argparse.Namespace) -> int:
         write_text(options.json, as_json(result))
     journal.say(f"stopped; state {result['state']}, {service.engine.sent} frames sent")
     return 0
+
+
+def _say_what_lacks(settings: ServiceOptions, journal: Journal) -> None:
+    from imucald.core import compiled
+    from imucald.service.journal import NOTICE, WARNING
+
+    if slow := compiled.slow_words():
+        journal.say(slow)
+    if settings.state_folder is None:
+        journal.say(NOT_SAVED, NOTICE)
+    if settings.status_socket is None:
+        journal.say(NO_SOCKET, WARNING)
 
 
 def _wrong(error: ConfigError, journal: Journal) -> int:

@@ -225,7 +225,9 @@ def _unknown(key: str, allowed: list[str], whole: Any) -> str:
     elsewhere = [place for place in _places(whole) if place[-1] == key]
     if len(elsewhere) == 1:
         meant.append(dotted(elsewhere[0]))
-    hint = f"did you mean {' or '.join(meant)}?" if meant else f"allowed: {', '.join(sorted(allowed))}"
+    hint = (
+        f"did you mean {' or '.join(meant)}?" if meant else f"allowed: {', '.join(sorted(allowed))}"
+    )
     return f"unknown key; {hint}"
 
 

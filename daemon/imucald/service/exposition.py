@@ -6,6 +6,7 @@ This module does not import numpy.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -28,18 +29,31 @@ def bus_of(socket: Path) -> str:
 
 def gathered(sockets: Iterable[Path]) -> str:
     """Return the merged metrics of the daemons that own these sockets. A metric states for each
-    daemon whether it answers."""
-    texts, answers = [], {}
+    daemon whether it answers.
+
+    The label `bus` of a daemon is the name that the daemon gives its bus. Daemons on one bus have
+    the names of their sockets, because a label names one daemon only.
+    """
+    texts: dict[Path, str] = {}
+    absent = []
     for path in sockets:
         try:
-            text = ask(path, "metrics", ASK_S)
+            texts[path] = ask(path, "metrics", ASK_S)
         except LinkError:
-            answers[escaped(bus_of(path))] = 0
-            continue
-        texts.append(text)
-        named = _BUS.search(text)  # as the daemon calls it
-        answers[named[1] if named else escaped(bus_of(path))] = 1
-    return merged([_up(answers), *texts])
+            absent.append(path)
+    given = {path: _label(text) for path, text in texts.items()}
+    buses = Counter(given.values())
+    answers = {escaped(bus_of(path)): 0 for path in absent}
+    for path, bus in given.items():
+        own = escaped(bus_of(path)) if bus is None or buses[bus] > 1 else bus
+        texts[path] = texts[path].replace(f'{{bus="{bus}"', f'{{bus="{own}"')
+        answers[own] = 1
+    return merged([_up(answers), *texts.values()])
+
+
+def _label(text: str) -> str | None:
+    named = _BUS.search(text)
+    return named[1] if named else None
 
 
 def escaped(text: str) -> str:
