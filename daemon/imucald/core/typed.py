@@ -210,7 +210,7 @@ def _of_fields(
         if key in hints:
             yield from _mistakes(one, hints[key], (*place, key), whole)
         else:
-            yield (*place, key), _unknown(str(key), list(hints), whole)
+            yield (*place, key), _unknown(str(key), sorted(hints), whole)
     for field in _fields(model):
         if field.required and field.name not in value:
             yield (*place, field.name), "is missing; it is required, add it"
@@ -218,16 +218,17 @@ def _of_fields(
 
 def _unknown(key: str, allowed: list[str], whole: Any) -> str:
     """Return what an unknown key may mean: a similar key of the same mapping, or the only key of
-    this name elsewhere."""
+    this name elsewhere.
+
+    allowed: the keys of the mapping, sorted. whole: type of all the data.
+    """
     import difflib  # noqa: PLC0415 - for a mistake only
 
     meant = [repr(near) for near in difflib.get_close_matches(key, allowed, n=1)]
     elsewhere = [place for place in _places(whole) if place[-1] == key]
     if len(elsewhere) == 1:
         meant.append(dotted(elsewhere[0]))
-    hint = (
-        f"did you mean {' or '.join(meant)}?" if meant else f"allowed: {', '.join(sorted(allowed))}"
-    )
+    hint = f"did you mean {' or '.join(meant)}?" if meant else "allowed: " + ", ".join(allowed)
     return f"unknown key; {hint}"
 
 
