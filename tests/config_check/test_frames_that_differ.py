@@ -148,3 +148,38 @@ def test_a_message_that_comes_from_another_address_is_named_with_its_key(tmp_pat
     text = texts(found(tmp_path, *rows, config=CONFIG.replace(old, new)), "no frame of ACC")
     assert "comes from the address 0xE2" in text
     assert key in text
+
+
+def messages(tmp_path, config: str = CONFIG) -> tuple[dict[str, str], list[Finding]]:
+    """The identifiers in the table of messages, and the findings; two boxes send ACC."""
+    check = Check(load(config, tmp_path, DATABASE))
+    check.feed(
+        columns_of([
+            (0.01 * i + 0.001 * k, can_id | CAN_EFF_FLAG, bytes(8))
+            for i in range(300)
+            for k, can_id in enumerate((ACC + 0xE2, ACC + 0xE3, SPEED + 0x17))
+        ])
+    )  # fmt: skip
+    return {row["name"]: row["id"] for row in check.report()["messages"]}, check.findings()
+
+
+def test_the_table_of_messages_shows_the_address_that_is_used(tmp_path):
+    ids, _ = messages(tmp_path)
+    assert ids == {"ACC": f"0x{ACC + 0xE2:X}", "CCVS1": f"0x{SPEED + 0x17:X}"}
+    ids, _ = messages(tmp_path, CONFIG.replace("z: ACC.Z}", "z: ACC.Z, source_address: 0xE3}"))
+    assert ids["ACC"] == f"0x{ACC + 0xE3:X}"
+
+
+def test_the_senders_that_a_stated_address_leaves_out_are_named(tmp_path):
+    _, named = messages(tmp_path, CONFIG.replace("z: ACC.Z}", "z: ACC.Z, source_address: 0xE3}"))
+    assert "ACC of 0xE3 is used; 0xE2 sends the same PGN" in texts(named, "the same PGN")
+    _, free = messages(tmp_path)
+    assert not texts(free, "the same PGN")
+
+
+def test_other_identifiers_of_11_bits_are_no_other_senders(tmp_path):
+    short = DATABASE.replace(f"BO_ {ACC + 0xFE | CAN_EFF_FLAG}", "BO_ 1568")  # 0x620
+    check = Check(load(CONFIG, tmp_path, short))
+    rows = [(0.01 * i + 0.001 * k, 0x620 + k, bytes(8)) for i in range(300) for k in range(3)]
+    check.feed(columns_of(rows))
+    assert not texts(check.findings(), "the same PGN")

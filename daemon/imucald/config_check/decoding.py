@@ -113,6 +113,7 @@ class Decoding:
         yield from self._silent()
         yield from self._cut()
         yield from self._several_senders()
+        yield from self._unused_senders()
         yield from self._doubtful()
         yield from self._cycles()
         yield from self._too_slow()
@@ -221,6 +222,26 @@ class Decoding:
                 "other sensor"
             )
             yield Finding("warning", "accelerometer", text)
+
+    def _unused_senders(self) -> Iterator[Finding]:
+        """Find J1939 messages with a configured source address that other addresses send too."""
+        for probe in self.probes:
+            match = probe.match
+            is_j1939 = match.can_id & CAN_EFF_FLAG and match.mask != CAN_EFF_MASK
+            if not (probe.frames and is_j1939 and match.mask & J1939_ADDRESS_MASK):
+                continue
+            pgn = IdMatch(match.can_id, match.mask & ~J1939_ADDRESS_MASK, match.channel)
+            others = {
+                can_id & J1939_ADDRESS_MASK
+                for channel, can_id in self.ids
+                if pgn.matches(can_id, channel)
+                and not any(p.match.matches(can_id, channel) for p in self.probes)
+            }
+            if others:
+                names = ", ".join(f"0x{address:02X}" for address in sorted(others))
+                used = match.can_id & J1939_ADDRESS_MASK
+                text = f"{probe.name} of 0x{used:02X} is used; {names} sends the same PGN"
+                yield Finding("note", probe.name, text)
 
     def _doubtful(self) -> Iterator[Finding]:
         for source in self.sources:

@@ -117,7 +117,7 @@ def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
     """Return the JSON data of a message."""
     return {
         "name": probe.name,
-        "id": id_text(probe.match.can_id),
+        "id": id_text(probe.can_id),
         "channel": probe.match.channel,
         "frames": probe.frames,
         "cycle_s": round(probe.cycles[0], 6) if probe.cycles else None,
@@ -134,7 +134,7 @@ def quantity_row(source: QuantitySource) -> dict[str, Any]:
         "quantity": source.quantity,
         "preference": source.wanted.rank,
         "source": source.name,
-        "id": id_text(source.probe.match.can_id),
+        "id": id_text(source.probe.can_id),
         "unit": source.unit,
         "si_unit": SI_UNITS[conversion.unit.dimension],
         "factor": conversion.unit.factor * conversion.sign,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FD_BYTES
 from imucald.can.dbc.bits import Columns as Bytes
+from imucald.can.dbc.decode import J1939_ADDRESS_MASK
 from imucald.can.dbc.message import Message, Selectors
 from imucald.can.e2e.protection import DOUBLED
 from imucald.can.lost_frames import lost_share
@@ -144,6 +145,16 @@ class Probe:
         """Times of the frames of each multiplexer group, because each group has its own cycle."""
         self.addresses: set[int] = set()
         """J1939 source addresses with accepted frames. Each sender has its own cycle."""
+
+    @property
+    def can_id(self) -> int:
+        """Identifier of the used frames, with the flag for 29 bits. A J1939 identifier has the
+        sender's address; with several used senders or none, the address of the database."""
+        senders = self.addresses if self.sender is None else {self.sender.address}
+        address = next(iter(senders)) if len(senders) == 1 else None
+        if address is None:
+            return self.match.can_id
+        return self.match.can_id & ~J1939_ADDRESS_MASK | address
 
     @property
     def refused(self) -> Counter[str]:
