@@ -15,7 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_target(
         parser,
         "The angles are the mount angles that 'imucald status' shows. The state is 'restored' "
-        "until the drive confirms the mount.",
+        "until the drive confirms the mount. 'imucald status' shows a ± that is a little larger "
+        "than --within, because it adds the effect of load and springs.",
         "\n\n  imucald set-mount 14.1 28.5 -10.5 --within 1 --hold",
     )
     for name in ANGLES:

@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--background",
         action=argparse.BooleanOptionalAction,
         default=False,
-        help="write the frames of other units too, about 2300/s",
+        help="write the frames of other control units too, about 2300/s",
     )
     parser.add_argument("--interface", help="python-can interface of the bus that gets the drive")
     parser.add_argument("--channel", help="channel of this interface, such as vcan0")

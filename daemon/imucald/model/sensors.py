@@ -224,4 +224,4 @@ class BusLoad(Section, frozen=True):
 
     bitrate: Positive = 500_000.0
     background_frames_per_s: NonNegative = 2300.0
-    """Number of frames per second from other units, if background traffic is requested."""
+    """Number of frames per second from other control units, if background traffic is requested."""

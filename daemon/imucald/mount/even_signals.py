@@ -62,8 +62,9 @@ class Driven(Struct, frozen=True):
     """Speed of a block in which every tick has a speed.
 
     speed: (N + 2,) [m/s]. ok: (N + 2,) True where the speed is known, see `PART`. accel: (N,) dv/dt
-    [m/s^2]. least: smallest speed whose neighbouring speeds are not zero [m/s]. rolls: all speeds
-    show a rolling vehicle. moves: no speed is zero. knots: times at which the speed is known.
+    [m/s^2]. least: smallest speed whose neighbouring speeds are not zero [m/s]. rolls: every speed,
+    known or bridged, is above `ROLLING_SPEED`. moves: a speed is known, and no known speed is below
+    `ZERO_SPEED`; the vehicle may creep. knots: times at which the speed is known.
     """
 
     speed: Array

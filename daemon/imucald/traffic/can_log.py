@@ -31,8 +31,8 @@ def bus_frames(
 ) -> Iterator[FrameColumns]:
     """Yield the frames of a drive in bus order, block by block; t is in seconds since its start.
 
-    Each channel of the recording is a separate bus. The traffic of other units is on the first
-    channel.
+    Each channel of the recording is a separate bus. The traffic of other control units is on the
+    first channel.
     """
     ours = joined(list(encoder.frames(drive)))
     ours = ours.take(np.argsort(ours.t, kind="stable"))

@@ -1,4 +1,4 @@
-"""A shared bus: arbitration, and the traffic of all other units."""
+"""A shared bus: arbitration, and the traffic of all other control units."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
 def background(
     seed: int, frames_per_s: float, avoid: frozenset[int], start_s: float, stop_s: float
 ) -> FrameColumns:
-    """Return the frames of other units in the interval [start_s, stop_s). The messages (ids,
-    cycles) do not depend on the interval."""
+    """Return the frames of other control units in the interval [start_s, stop_s). The messages
+    (ids, cycles) do not depend on the interval."""
     rng = generator(seed, "background")
     cycles: list[float] = []
     while sum(1.0 / c for c in cycles) < frames_per_s:

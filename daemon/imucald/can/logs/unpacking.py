@@ -187,8 +187,11 @@ class InPieces:
     def read(self, size: int = -1) -> bytes:
         """Read up to `size` bytes; a negative size means all bytes."""
         if not 0 <= size <= FREE_BYTES:
-            length = f"{size} bytes" if size > 0 else "all of it"
-            raise ValueError(f"{length} at once are more than {FREE_BYTES >> 20} MiB")
+            length = f"{size} bytes" if size > 0 else "all its bytes"
+            raise ValueError(
+                f"the file asks its reader for {length} at once; at most {FREE_BYTES >> 20} MiB "
+                "are read at once"
+            )
         return self._file.read(size)
 
     def __getattr__(self, name: str) -> Any:

@@ -188,13 +188,13 @@ def dead_band(signal: Numbers, stated: VehicleModel) -> Iterator[Answer]:
 
 
 def hole(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
-    """Test the hole that the signal jumps over most often, without ever showing a value in it.
+    """Test a hole: a range of values that the signal jumps over again and again but never shows.
 
-    A large change from sample to sample is rarer than a small change. Consider a start value that
-    is at most one hole width below a hole. From this value, a change into the hole is at least as
-    likely as a change to a value at most one hole width above the hole. Each jump over the hole
-    therefore has a chance of at most a half. A standing vehicle that starts to move is an
-    exception, so speeds are tested above 1 km/h only."""
+    Of all such ranges the one with the most jumps is tested. Without a fault each of these jumps
+    has a chance of at most a half: it begins at most one width of the range below (or above) the
+    range, and the smaller change that ends inside the range is at least as likely as the larger
+    change across it. A standing vehicle that starts to move is an exception, so speeds are tested
+    above 1 km/h only."""
     levels = levels_of(signal.values)
     step = step_of(levels)
     if step == 0.0 or not is_one_grid(levels, step):

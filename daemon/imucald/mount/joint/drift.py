@@ -430,11 +430,15 @@ class ZeroDrift:
     def _take(
         self, path: _Path, means: Array, held: NDArray[np.int_], passed: float, slopes: Array
     ) -> None:
-        """Update the state with the means (n, 10) of the steps `held`.
+        """Update the state with the mean forces of n steps.
 
         Then update the vertical at the end of the last step with the prior of road slopes. The
         variance of this prior is slopes (2,) [m] divided by the distance passed [m], see
         `slope_way`. Finally predict the state at the end of the steps.
+
+        means: (steps, 10) of all steps of the path: force minus the motion's part (3), the six
+        motions of the matrix B, and the speed, see `_means`. held: (n,) indices of the steps with
+        enough ticks; only their means are used.
         """
         n, end = 3 * len(held), path.slopes[-1]
         rows = n + 2 if passed > 0.0 else n
