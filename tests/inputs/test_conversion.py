@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.inputs.conversion import LIMITS, REASONS, Conversion
+from imucald.core.samples import ACCEL
+from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.units import Unit, find_unit
 
 KMH = find_unit("km/h", "speed")
@@ -55,7 +56,7 @@ def test_range_includes_its_ends_and_rails_are_saturated():
 def test_beyond_any_vehicle_is_out_of_range():
     assert code_of(Conversion(KMH), 3.6 * 149.0) == ""
     assert code_of(Conversion(KMH), 3.6 * 151.0) == "out_of_range"
-    assert LIMITS["acceleration"] >= 16 * 9.81
+    assert ACCEL.largest >= 16 * 9.81
 
 
 @pytest.mark.parametrize(

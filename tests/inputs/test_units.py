@@ -7,7 +7,8 @@ import math
 import pytest
 
 from imucald.core.errors import ConfigError
-from imucald.inputs.units import DIMENSIONS, find_unit, is_unit, unit_names
+from imucald.core.samples import DIMENSIONS
+from imucald.inputs.units import _TABLE, Unit, find_unit, is_unit, unit_names
 
 # value in the unit, dimension, the same in SI (from the units' definitions)
 KNOWN = [
@@ -137,7 +138,11 @@ def test_a_unit_of_something_else_is_told_from_a_word_that_is_none():
 
 
 def test_every_dimension_names_its_units():
-    for dimension in DIMENSIONS:
+    assert {unit.dimension for unit, _ in _TABLE} == set(DIMENSIONS)
+    for dimension, row in DIMENSIONS.items():
+        assert find_unit(row.unit, dimension) == Unit(dimension, 1.0), (
+            "the unit of SI is one of them"
+        )
         for name in unit_names(dimension):
             assert find_unit(name, dimension).dimension == dimension
 

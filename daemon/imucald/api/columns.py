@@ -43,15 +43,6 @@ _DTYPES: Mapping[str, Any] = {
     "time": np.int64,
 }
 
-_SUFFIXES = {
-    "m/s^2": "mps2",
-    "rad/s": "radps",
-    "rad": "rad",
-    "m/s": "mps",
-    "T": "tesla",
-    "degC": "degc",
-}
-"""The suffix of a column's name, by its unit."""
 _WHEELS = ("fl", "fr", "rl", "rr")
 
 HISTORY_COLUMNS = (
@@ -90,12 +81,12 @@ def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...
         return (*TIMES, *(TableColumn(f"raw_wheel_speed_{w}_mps", "m/s") for w in _WHEELS))
     if not quantity.unit:
         return (*TIMES, TableColumn(f"raw_{sensor}", "1"))
-    return (*TIMES, TableColumn(f"raw_{sensor}_{_SUFFIXES[quantity.unit]}", quantity.unit))
+    return (*TIMES, TableColumn(f"raw_{sensor}_{quantity.suffix}", quantity.unit))
 
 
 def _triad(kind: str, before: str) -> tuple[TableColumn, ...]:
-    unit = QUANTITIES[kind].unit
-    return tuple(TableColumn(f"{before}{kind}_{axis}_{_SUFFIXES[unit]}", unit) for axis in "xyz")
+    of = QUANTITIES[kind]
+    return tuple(TableColumn(f"{before}{kind}_{axis}_{of.suffix}", of.unit) for axis in "xyz")
 
 
 class Columns(Struct, frozen=True, eq=False):

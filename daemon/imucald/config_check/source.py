@@ -12,7 +12,7 @@ from imucald.can.dbc.message import Signal
 from imucald.config import LoadedConfig
 from imucald.config_check.finding import Finding
 from imucald.config_check.statistics import Probe, SignalStatistics
-from imucald.core.samples import QUANTITIES, SI_UNITS
+from imucald.core.samples import DIMENSIONS, QUANTITIES
 from imucald.inputs.quantities import Wanted, wanted_numbers
 from imucald.inputs.routes import MessageRoute
 
@@ -136,7 +136,7 @@ def quantity_row(source: QuantitySource) -> dict[str, Any]:
         "source": source.name,
         "id": id_text(source.probe.can_id),
         "unit": source.unit,
-        "si_unit": SI_UNITS[conversion.unit.dimension],
+        "si_unit": DIMENSIONS[conversion.unit.dimension].unit,
         "factor": conversion.unit.factor * conversion.sign,
         "samples": source.statistics.si.count,
         "in_unit": source.statistics.physical.as_dict(),

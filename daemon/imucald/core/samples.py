@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
@@ -12,16 +13,29 @@ from numpy.typing import NDArray
 GRAVITY = 9.80665
 """Standard gravity [m/s^2] (ISO 80000-3)."""
 
-SI_UNITS: Mapping[str, str] = {
-    "acceleration": "m/s^2",
-    "angular_rate": "rad/s",
-    "angle": "rad",
-    "speed": "m/s",
-    "magnetic_field": "T",
-    "temperature": "degC",
-    "flag": "",
+
+class Dimension(NamedTuple):
+    """What all quantities of a dimension share.
+
+    unit: SI unit; empty for a flag. largest: largest plausible magnitude [SI]; no sensor in a road
+    vehicle measures a larger value. suffix: the unit at the end of a column's name in tables.
+    """
+
+    unit: str
+    largest: float
+    suffix: str
+
+
+DIMENSIONS: Mapping[str, Dimension] = {
+    "acceleration": Dimension("m/s^2", 200.0, "mps2"),
+    "angular_rate": Dimension("rad/s", 70.0, "radps"),
+    "angle": Dimension("rad", 30.0, "rad"),
+    "speed": Dimension("m/s", 150.0, "mps"),
+    "magnetic_field": Dimension("T", 0.01, "tesla"),
+    "temperature": Dimension("degC", 1000.0, "degc"),
+    "flag": Dimension("", math.inf, ""),
 }
-"""The SI unit of each dimension."""
+"""All dimensions. Their other units are in `inputs/units.py`."""
 
 
 class Quantity(NamedTuple):
@@ -42,7 +56,17 @@ class Quantity(NamedTuple):
     @property
     def unit(self) -> str:
         """SI unit; empty for a flag."""
-        return SI_UNITS[self.dimension]
+        return DIMENSIONS[self.dimension].unit
+
+    @property
+    def largest(self) -> float:
+        """Largest plausible magnitude [SI]."""
+        return DIMENSIONS[self.dimension].largest
+
+    @property
+    def suffix(self) -> str:
+        """The unit at the end of a column's name in tables; empty for a flag."""
+        return DIMENSIONS[self.dimension].suffix
 
 
 ACCEL = Quantity("accel", "accelerometer", "acceleration", "accelerometer", 3)

@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core.samples import DIMENSIONS
 from imucald.inputs.units import Unit
 
 OK: Final = 0
@@ -22,18 +23,6 @@ REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range"
 """The reason why a value was rejected, by code; code 0 means accepted. "status" means that the
 sensor's status signal rejects the value."""
 STATUS: Final = 5
-
-LIMITS: Final = {
-    "acceleration": 200.0,
-    "angular_rate": 70.0,
-    "angle": 30.0,
-    "speed": 150.0,
-    "magnetic_field": 0.01,
-    "temperature": 1000.0,
-    "flag": math.inf,
-}
-"""Largest plausible magnitude per dimension [SI]. No sensor in a road vehicle measures larger
-values."""
 
 
 class Conversion(Struct, frozen=True):
@@ -60,7 +49,7 @@ class Conversion(Struct, frozen=True):
     @property
     def limit(self) -> float:
         """Largest plausible magnitude in SI."""
-        return LIMITS[self.unit.dimension]
+        return DIMENSIONS[self.unit.dimension].largest
 
     @property
     def source(self) -> Hashable:

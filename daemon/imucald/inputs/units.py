@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from imucald.core.angles import RAD_PER_DEG
 from imucald.core.errors import ConfigError
-from imucald.core.samples import GRAVITY
+from imucald.core.samples import DIMENSIONS, GRAVITY
 
 
 class Unit(Struct, frozen=True):
@@ -107,9 +107,6 @@ LEAST_COUNTS = 4.0
 exponent."""
 _SHORTEST_CUT, _LONGEST_ENDING = 4, 2
 """Smallest length of a shortened word ("squar"), and largest length of an ending."""
-
-
-DIMENSIONS = tuple(dict.fromkeys(unit.dimension for unit, _ in _TABLE))
 
 
 def unit_names(dimension: str) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucald.core.arrays import Array, Flags
-from imucald.inputs.conversion import LIMITS
+from imucald.core.samples import SPEED
 from imucald.model_compensation.terms import ScalarTerms
 
 
@@ -43,10 +43,10 @@ class WheelsCompensator:
     def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
         """Correct one sample (4,); None if one of its speeds is implausible."""
         found = [x / gain for x, gain in zip(v, self._gains, strict=True)]
-        return found if all(abs(x) <= LIMITS["speed"] for x in found) else None
+        return found if all(abs(x) <= SPEED.largest for x in found) else None
 
     def columns(self, v: Array) -> tuple[Array, Flags]:
         """Correct samples (N, 4) as `sample` does. Returns the results and flags (N,) of the
         refused samples."""
         found = v / np.array(self._gains)
-        return found, ~(np.abs(found).max(axis=1, initial=0.0) <= LIMITS["speed"])
+        return found, ~(np.abs(found).max(axis=1, initial=0.0) <= SPEED.largest)

@@ -24,7 +24,6 @@ from imucald.core.samples import (
     speed_of_wheels,
     speeds_of_wheels,
 )
-from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
 from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
 from imucald.model_compensation.sample_chain import Stage, through
@@ -72,13 +71,13 @@ class SensorCorrection:
         self._sensitive = any(terms.g_sensitivity)
         self._felt = Smoothed(FELT_HZ)
         self._triads = {
-            channel: TriadCompensator(t, LIMITS[QUANTITIES[channel].dimension])
+            channel: TriadCompensator(t, QUANTITIES[channel].largest)
             for channel, t in triads.items()
             if t != TriadTerms() or (channel == "gyro" and self._sensitive)
         }
         self._temperature_dependent = [t for t in self._triads.values() if t.follows_temperature]
         self._scalars = {
-            channel: ScalarCompensator(s, LIMITS[QUANTITIES[channel].dimension])
+            channel: ScalarCompensator(s, QUANTITIES[channel].largest)
             for channel, s in terms.scalars.items()
             if s != ScalarTerms() and not (channel == "speed" and derived_speed)
         }
