@@ -442,6 +442,15 @@ def test_a_service_whose_command_is_none_is_refused(
     assert "--exec" in capsys.readouterr().err
 
 
+def test_set_mount_says_why_status_shows_a_larger_deviation_than_the_stated_one(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["set-mount", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "larger than --within, because it adds the effect of load and springs" in said
+
+
 @pytest.mark.parametrize("command", ["check", "replay", "diagnose", "walk", "status", "wait"])
 def test_quiet_has_the_same_two_names_in_every_command(
     command: str, capsys: pytest.CaptureFixture[str]
