@@ -90,6 +90,13 @@ def test_files_of_several_drives_are_called_after_their_logs(logs, names):
     assert names_apart(logs) == names
 
 
+def test_a_folder_gives_the_logs_of_every_format_and_no_tables(tmp_path):
+    logs = ["a.log", "b.log.gz", "c.ASC", "d.blf.xz", "e.mf4", "f.pcapng", "g.trc"]
+    for name in [*logs, "car.yaml", "car.dbc", "result.json", "signals.csv", "points.db"]:
+        (tmp_path / name).touch()
+    assert [name.name for name in imucald.find_logs(tmp_path)] == logs
+
+
 def test_a_folder_is_no_log_and_an_empty_one_holds_none(tmp_path):
     with pytest.raises(imucald.LogError, match="is a folder"):
         imucald.replay(config(), tmp_path)

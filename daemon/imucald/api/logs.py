@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from imucald.can.logs.log_reader import find_formats
 from imucald.can.logs.text_blocks import STDIN, OpenLog, folder_error
+from imucald.can.logs.unpacking import plain_ending
 from imucald.core.errors import LogError
 
 LogSource = str | os.PathLike[str] | Any
 """A log's name, or a file that is open for reading bytes (candump text, plain or gzip)."""
 
-LOG_ENDINGS = (".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4")
-"""Suffixes of log files in a folder. A log with another suffix must be given by its name."""
+AMBIGUOUS = frozenset({".csv", ".db"})
+"""Suffixes of logs that other files have too. A log with such a suffix must be given by its
+name."""
+
+
+@cache
+def log_endings() -> frozenset[str]:
+    """Return the suffixes of log files in a folder, without suffixes of compression."""
+    return frozenset(end for kind in find_formats() for end in kind.endings) - AMBIGUOUS
 
 
 def opened(source: LogSource) -> Path | str | OpenLog:
@@ -38,8 +48,8 @@ def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
 def find_logs(*where: str | os.PathLike[str]) -> list[Path]:
     """List logs: each source is a file's name, a folder, or a shell pattern.
 
-    From a folder, files that end in .log, .log.gz, .asc, .blf, .trc or .mf4 are taken, sorted by
-    name. Raises LogError if no log is found.
+    From a folder, files with the suffix of a log are taken (except .csv and .db, which other files
+    have too), compressed or not, sorted by name. Raises LogError if no log is found.
     """
     return [Path(name) for name in found_names([os.fspath(one) for one in where])]
 
@@ -51,7 +61,7 @@ def found_names(where: Sequence[str]) -> list[str]:
     for name in where:
         if name != STDIN and Path(name).is_dir():
             inside = (p for p in sorted(Path(name).rglob("*")) if p.is_file())
-            found += _some(name, (str(p) for p in inside if p.name.lower().endswith(LOG_ENDINGS)))
+            found += _some(name, (str(p) for p in inside if plain_ending(p) in log_endings()))
         elif name == STDIN or Path(name).exists():
             found.append(name)
         else:

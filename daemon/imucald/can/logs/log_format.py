@@ -1,8 +1,8 @@
 """The interface of all log formats, and the statistics of a reader.
 
 To add a format, add a file to this folder whose name ends with `_logs`. The module must define a
-`LogFormat` with the name FORMAT; `log_reader` finds it. For a format that python-can reads, only
-add its suffix in `python_can_logs`.
+`LogFormat` with the name FORMAT; `log_reader` finds it, asks its `begins` and knows its `endings`.
+For a format that python-can reads, add its suffix and its `_BEGINNINGS` in `python_can_logs`.
 """
 
 from __future__ import annotations
