@@ -225,26 +225,26 @@ def _unknown(key: str, allowed: list[str], whole: Any) -> str:
     import difflib  # noqa: PLC0415 - for a mistake only
 
     meant = [repr(near) for near in difflib.get_close_matches(key, allowed, n=1)]
-    elsewhere = [place for place in _places(whole) if place[-1] == key]
+    elsewhere = [place for place in places(whole) if place[-1] == key]
     if len(elsewhere) == 1:
         meant.append(dotted(elsewhere[0]))
     hint = f"did you mean {' or '.join(meant)}?" if meant else "allowed: " + ", ".join(allowed)
     return f"unknown key; {hint}"
 
 
-def _places(kind: Any, above: Place = ()) -> Iterator[Place]:
+def places(kind: Any, above: Place = ()) -> Iterator[Place]:
     """Yield the place of every key that data of a type may have; `*` stands for any name. The items
     of a list count once, without an index."""
     kind = _bare(kind)
     if isinstance(kind, type) and issubclass(kind, Struct):
         for name, inner in _hints(kind).items():
             yield (*above, name)
-            yield from _places(inner, (*above, name))
+            yield from places(inner, (*above, name))
     elif get_origin(kind) is dict:
-        yield from _places(get_args(kind)[1], (*above, "*"))
+        yield from places(get_args(kind)[1], (*above, "*"))
     elif get_origin(kind) is tuple or _is_union(kind):
         for inner in {part: None for part in get_args(kind) if part is not ...}:
-            yield from _places(inner, above)
+            yield from places(inner, above)
 
 
 def _reason(value: Any, kind: Any, text: str) -> str:

@@ -148,7 +148,13 @@ class Checksum:
 
 @cache
 def _table(polynomial: int, width: int) -> tuple[int, ...]:
-    """CRC table, most significant bit first; polynomial 0 gives XOR (the byte itself)."""
+    """Return the CRC table, most significant bit first; polynomial 0 gives XOR (the byte itself).
+
+    A reflected CRC (least significant bit first) needs another table here. No loop changes, neither
+    in Python nor in C: an 8-bit CRC uses the same loop, and a 16-bit CRC too if its register is
+    byte-swapped. Table, start and final XOR of the spec are then byte-swapped, and `byte_order` is
+    the opposite of the order in the message (`checksums.in_signal` sets it).
+    """
     if polynomial == 0:
         return tuple(range(256))
     top, mask = 1 << 8 * width - 1, (1 << 8 * width) - 1

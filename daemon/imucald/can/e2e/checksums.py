@@ -1,7 +1,8 @@
 """All kinds of checksums of messages: XOR, CRC-8, CRC-16, AUTOSAR E2E profiles.
 
-To add a kind (another CRC-8 or CRC-16), change only this file: add a function that returns its
-`ChecksumSpec`, and a line in `KINDS`. Configurations use the names in `KINDS`.
+To add a kind (another CRC-8 or CRC-16), add a function that returns its `ChecksumSpec`, and a line
+in `KINDS`. Configurations use the names in `KINDS`. A reflected CRC takes more, see
+`checksum_engine._table`.
 
 Source: AUTOSAR PRS "E2E Protocol Specification" (profiles 1, 2, 5, 11) and SWS "CRC Library".
 Profiles 1 and 11 start their CRC-8 SAE J1850 at 0 and do not invert it. The PRS calls the routine
