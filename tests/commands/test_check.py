@@ -360,7 +360,7 @@ def test_a_message_without_counter_that_comes_twice_from_some_time_on_is_named(
     assert by_message == report["frames"]["rejected"]["duplicate_sender"]
     text = findings(report, "warning")["wheel_speeds"]
     assert "of ESC_WheelSpeeds are rejected (duplicate_sender" in text
-    assert "a second unit sends this identifier, or a gateway sends it again" in text
+    assert "a second control unit sends this identifier, or a gateway sends it again" in text
 
 
 def test_half_of_the_frames_again_later_is_an_error_where_most_are_rejected(frames: Frames) -> None:

@@ -93,7 +93,7 @@ class Comparison:
 
 
 class Listener:
-    """Another unit on the bus. The listener decodes imucald's corrected acceleration."""
+    """Another control unit on the bus. The listener decodes imucald's corrected acceleration."""
 
     def __init__(self) -> None:
         place = Path(str(resources.files("imucald"))) / "data" / "listener.yaml"

@@ -61,10 +61,11 @@ _REMEDIES = {
     "doubled": "; a gateway or the logger wrote copies. Each frame is used once: nothing is lost",
     "short_frame": "; the database describes a longer frame: is it this vehicle's?",
     "long_frame": "; the database describes a shorter frame: is it this vehicle's?",
-    "too_early": "; a second unit sends this identifier, or a gateway sends it again",
+    "too_early": "; a second control unit sends this identifier, or a gateway sends it again",
     "counter_repeated": "; a gateway or a second log sends the same frames again, or 'counter:' "
     "(signal, modulus, max_step) of the message is wrong",
-    "duplicate_sender": "; a second unit sends this identifier, or a gateway sends it again",
+    "duplicate_sender": "; a second control unit sends this identifier, or a gateway sends it "
+    "again",
     "too_fast": "; the message comes far more often than usual: check its sender, or set "
     "'cycle_time:'",
     "status": "; the sensor says that its value cannot be used, or 'valid_when:' of the source is "
@@ -378,7 +379,7 @@ class Decoding:
             if seen:
                 text = (
                     f"{id_text(can_id)} is on this bus already ({seen} frames). If imucald "
-                    "did not send them, another unit uses this id: choose another id under "
+                    "did not send them, another control unit uses this id: choose another id under "
                     "'output: ids:'"
                 )
                 yield Finding("warning", "output.ids", text)

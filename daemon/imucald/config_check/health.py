@@ -119,7 +119,7 @@ def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> I
         if one["cause"] == SignalFault.SPEED_JUMP and one["seconds"] > MOST_SHARE * duration:
             text = (
                 f"jumps more than a vehicle can, in {one['seconds']:.0f} of {duration:.0f} s, "
-                "so no other signal is checked against it. Do several units send it "
+                "so no other signal is checked against it. Do several control units send it "
                 "('source_address:', 'channel:')? Is it the right signal?"
             )
             yield Finding("error", configured_name(one["signal"]), text)

@@ -79,7 +79,7 @@ class SeenSignal:
     sign_signal: str | None = None
     """``MESSAGE.SIGNAL`` of the sign bit, for a signal whose sign is in another signal."""
     source_address: int | None = None
-    """Source address of the sender if several units send this J1939 message."""
+    """Source address of the sender if several control units send this J1939 message."""
     own_channel: str | None = None
     """Channel to state in a raw source if the recording has several channels."""
 
@@ -133,8 +133,8 @@ class SeenSignal:
 class MessageTraffic:
     """A message of a database with its frames.
 
-    senders: source addresses if several units send this J1939 message. The frames are the frames of
-    the first address.
+    senders: source addresses if several control units send this J1939 message. The frames are the
+    frames of the first address.
     """
 
     message: Message

@@ -161,7 +161,7 @@ def _cut(choices: Sequence[Choice], messages: Mapping[str, MessageTraffic]) -> I
 
 
 def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None:
-    """Add a doubt to a choice whose J1939 message comes from several units."""
+    """Add a doubt to a choice whose J1939 message comes from several control units."""
     for name in used_messages([choice]):
         senders = messages[name].senders if name in messages else ()
         if len(senders) > 1 and not choice.doubt:

@@ -182,7 +182,8 @@ def _sign_of(
     except DatabaseError as error:
         raise loaded.error(at_place.place, str(error)) from None
     if is_sensor and is_of_any_sender(match):
-        text = f"state the 'source_address:' of {of_sign.message.name}: several units may send it"
+        name = of_sign.message.name
+        text = f"state the 'source_address:' of {name}: several control units may send it"
         raise loaded.error(at_place.place, text)
     if any(isinstance(s, SignBit) for s in of_sign.signs.values()) or group.given:
         names = f"{of_sign.message.name} and {group.message.name}"
