@@ -12,7 +12,7 @@ import yaml
 
 from imucald.can.logs.log_reader import CandumpWriter
 from imucald.cli import main
-from imucald.commands.schema import CONFIGURATION, schema_text
+from imucald.commands.schema import CONFIGURATION, MODEL, schema_text
 from paths import ROOT
 from simulated_bus import drive_frames
 
@@ -61,6 +61,14 @@ def test_an_example_names_the_schema_of_today_and_keeps_to_it(example: Path):
     assert kept.read_text() == schema_text(CONFIGURATION), (
         f"imucald schema > config/{CONFIGURATION}"
     )
+
+
+@pytest.mark.parametrize("name", [CONFIGURATION, MODEL])
+def test_limits_are_written_alike_whatever_module_was_imported_first(name: str):
+    """Equal limits of two modules, 5 and 5.0, are one object to `typing`."""
+    limits = re.findall(r'"(?:m|exclusiveM)(?:ax|in)imum": (.+?),?$', schema_text(name), re.M)
+    assert len(limits) > 50
+    assert not [limit for limit in limits if limit.endswith(".0")]
 
 
 def test_a_model_file_names_a_schema_that_it_keeps_to(tmp_path):

@@ -21,6 +21,9 @@ from imucald.config.signals import ONE_OF_LIST, SHORT_TEXTS
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 REFERENCE = "#/definitions/"
+LIMITS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"})
+"""Keys of limits. Whole limits are written without a fraction: `Meta(le=5)` and `Meta(le=5.0)` are
+equal to `typing`, which keeps the one of the module that is imported first."""
 
 
 def described_schema(
@@ -73,6 +76,9 @@ def _as_draft_7(node: Any) -> Any:
     if not isinstance(node, dict):
         return node
     found = {key: _as_draft_7(value) for key, value in node.items()}
+    for key in LIMITS & found.keys():
+        if isinstance(found[key], float) and found[key].is_integer():
+            found[key] = int(found[key])
     if "prefixItems" in found:
         found["additionalItems"] = found.pop("items", True)
         found["items"] = found.pop("prefixItems")
