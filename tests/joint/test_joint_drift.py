@@ -24,12 +24,13 @@ from joint.planar_drive import ROTATION, Sensor, blocks
 from mount_settings import joint_settings
 
 LEVEL_ROADS = Priors(crown=(0.0, 0.002), slope=0.002)
+USUAL_ROADS = Priors(crown=(0.0, 0.002))
 FROM_S, WRONG = 200.0, 0.5
 GOOD = {MountState.USABLE, MountState.FINE}
 
 
-def held(made: list[Block]) -> Evidence:
-    evidence = Evidence(LEVEL_ROADS)
+def held(made: list[Block], priors: Priors = LEVEL_ROADS) -> Evidence:
+    evidence = Evidence(priors)
     for block in made:
         evidence.add_block(block)
         evidence.solve_when_due()
@@ -226,9 +227,10 @@ def test_a_drift_is_named_before_the_next_bend_makes_a_move_of_it() -> None:
 
 def test_a_zero_of_the_rate_that_was_guessed_badly_is_no_drift() -> None:
     """In the bends of a car park the guess from driving is off by some degrees a second."""
-    evidence, off, odds = Evidence(LEVEL_ROADS), ROTATION.T @ np.array([0.0, 0.0, 0.1]), []
+    evidence, off, odds = Evidence(USUAL_ROADS), ROTATION.T @ np.array([0.0, 0.0, 0.1]), []
     for b in blocks(6.0, Sensor()):
-        evidence.add_block(b._replace(rate=b.rate + off))
+        guess = b._replace(rate=b.rate + off, is_rate_known=False, turn_zero_std=0.1)
+        evidence.add_block(guess)
         evidence.solve_when_due()
         odds.append(evidence.drift.log_odds)
     assert max(odds) < -3.0
@@ -243,4 +245,4 @@ def test_a_tilt_that_lost_samples_hide_within_a_block_is_no_drift() -> None:
             tilt = 1.0 - tilt
             tilts[31:], use[29:33] = tilt, False
         made[k] = b._replace(force=b.force + tilts[:, None] * across, use=use)
-    assert max(held(made[:n]).drift.log_odds for n in (46, 54, 62, 70)) < -3.0
+    assert max(held(made[:n], USUAL_ROADS).drift.log_odds for n in (46, 54, 62, 70)) < -3.0
