@@ -105,8 +105,9 @@ def _without_damaged_stamps(
     for chunk in chunks:
         if len(chunk) and len(frames := damaged.add_frames(chunk)):
             yield frames
-    if len(frames := damaged.rest()):
-        yield frames
+    last = damaged.rest()
+    if last is not None and len(last):
+        yield last
 
 
 class _DamagedStamps:
@@ -125,9 +126,9 @@ class _DamagedStamps:
         """Add frames. Return those that are decided and right."""
         return self._right(concatenate([*self._open, frames]), is_end=False)
 
-    def rest(self) -> FrameColumns | tuple[()]:
-        """Return the right ones among the last frames."""
-        return self._right(concatenate(self._open), is_end=True) if self._open else ()
+    def rest(self) -> FrameColumns | None:
+        """Return the right ones among the last frames; None if all frames were returned before."""
+        return self._right(concatenate(self._open), is_end=True) if self._open else None
 
     def _right(self, frames: FrameColumns, is_end: bool) -> FrameColumns:
         t = np.append(self._before, frames.t)
