@@ -281,3 +281,14 @@ def test_a_clock_that_is_set_and_a_hole_reject_no_frame(tmp_path: Path) -> None:
     chunks, reader = read(log(tmp_path / "set.log", stamps, ids.tolist()))
     assert sum(map(len, chunks)) == len(t)
     assert reader.rejected == {}
+
+
+def test_a_channel_that_falls_silent_ends_no_reading(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    with path.open("w") as file:
+        for k in range(60_000):  # several blocks of text
+            channel = k % 2 if k < 20_000 else 0
+            file.write(f"({1e9 + 0.001 * k:.6f}) can{channel} 123#{k:016X}\n")
+    chunks, _ = read(path)
+    assert len(chunks) > 1
+    assert sum(map(len, chunks)) == 60_000

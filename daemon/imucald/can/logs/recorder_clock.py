@@ -221,8 +221,9 @@ class _BusTime:
         self._last, self._frames = float(t[-1]), self._frames + len(frames)
         self._first = min(self._first, float(t.min()))
         self._end = max(self._end, float(t.max()))
-        on_bus: Times = np.bincount(frames.channel, _bus_seconds(frames)).astype(np.float64)
-        on_bus[: len(self._seconds)] += self._seconds
+        known = len(self._seconds)  # a channel of earlier frames may be silent now
+        on_bus: Times = np.bincount(frames.channel, _bus_seconds(frames), known).astype(np.float64)
+        on_bus[:known] += self._seconds
         self._seconds = on_bus
         self._back += int(np.count_nonzero(_steps_back(t)))
         needed, passed = float(on_bus.max()), self._end - self._first
