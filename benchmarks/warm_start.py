@@ -1,6 +1,6 @@
 """Warm start on simulated drives: what a known sensor is worth, and whether a moved one shows.
 
-    python -m benchmarks.warm_start [--seeds 20] [--first 20] [--minutes 12] [--from 0]
+    python -m benchmarks.warm_start [--seeds 20] [--first 20] [--minutes 12] [--from 400000]
 
 Each vehicle drives twice on different roads. Its state of the first drive is saved and serves in
 the second, with what it found of the sensor and without; before the second drive load and springs
@@ -31,6 +31,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from benchmarks.mount_accuracy.seeds import FIRST_SEED, tuned_on
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
@@ -45,6 +46,7 @@ from imucald.simulation.imu import gain_matrix
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "passenger_car.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)
+USAGE = 2
 TURNED_DEG, TURNED_AT_S = 4.0, 240.0
 """In the last case the sensor is turned by that while driving."""
 WHILE_DRIVING = -1.0
@@ -126,19 +128,22 @@ def course(
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--from", type=int, default=0, dest="start", metavar="SEED")
+    parser.add_argument("--from", type=int, default=FIRST_SEED, dest="start", metavar="SEED")
     parser.add_argument("--first", type=float, default=20.0, metavar="MIN")
     parser.add_argument("--minutes", type=float, default=12.0)
     parser.add_argument("--sensor", action="store_true", help="when it is usable")
     options = parser.parse_args()
+    seeds = range(options.start, options.start + options.seeds)
+    if tuned := tuned_on(seeds):
+        print(f"--from {options.start}: seed {tuned[0]} was tuned on", file=sys.stderr)
+        return USAGE
     if options.sensor:
-        seeds = range(options.start, options.start + options.seeds)
         return known_sensors(seeds, options.first, options.minutes)
     config = open_config(CONFIG).config
     found: dict[tuple[float, bool], list[Course]] = {
         (degrees, kept): [] for degrees in (*MOVED_DEG, WHILE_DRIVING) for kept in (False, True)
     }
-    for seed in range(options.start, options.start + options.seeds):
+    for seed in seeds:
         model = random_model(seed)
         first = rows_of(simulate(model, seed, options.first), options.first)
         stored = stored_after(estimator_for(config), first)

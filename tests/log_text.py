@@ -73,3 +73,21 @@ def judged(line: bytes) -> Frame | str | None:
     data = data[2:] if fd else data.split("_")[0]
     can_id = int(number, 16) + (CAN_EFF_FLAG if len(number) == 8 else 0)
     return Frame(float(match["stamp"]), can_id, bytes.fromhex(data), match["channel"], fd)
+
+
+def without_damaged_stamps(frames: list[Frame]) -> list[Frame]:
+    """Frames of a file without those that are 10 s from both neighbours, which are together."""
+    t = [frame.t for frame in frames]
+    alone = [
+        0 < k < len(t) - 1
+        and abs(t[k] - t[k - 1]) > 10.0
+        and abs(t[k + 1] - t[k]) > 10.0
+        and abs(t[k + 1] - t[k - 1]) <= 10.0
+        for k in range(len(t))
+    ]
+    around = [False, *alone, False]
+    return [
+        frame
+        for k, frame in enumerate(frames)
+        if not (alone[k] and not around[k] and not around[k + 2])
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.log_reader import LogReader
+from imucald.can.logs.recorder_clock import by_the_clock
 from imucald.can.lost_frames import lost_share
 from imucald.core.errors import LogError
 
@@ -218,3 +221,74 @@ def test_copies_keep_the_stamp_of_their_frame(tmp_path):
     times = np.concatenate([chunk.t for chunk in chunks])
     assert (times[::2] == times[1::2]).all()
     assert np.abs(times - [round(t, 6) for t, _ in frames]).max() < 1e-9
+
+
+def with_wrong_stamps(t: NDArray[np.float64], places: dict[int, float]) -> NDArray[np.float64]:
+    stamps = t + 1.7e9
+    for place, error in places.items():
+        stamps[place] += error
+    return stamps
+
+
+@pytest.mark.parametrize("error", [-2816.0, 65536.0, -15.0])
+@pytest.mark.parametrize("kept", [None, [IdMatch(0x100, 0x7FF)]], ids=["all", "one message"])
+def test_a_frame_whose_stamp_jumps_away_and_back_is_rejected(
+    tmp_path: Path, error: float, kept: list[IdMatch] | None
+) -> None:
+    """A wrong bit in one stamp makes no drive of 120 s last for an hour."""
+    t, ids = (np.array(column) for column in zip(*sent(), strict=True))
+    place = int(np.flatnonzero(ids == 0x100)[5000])
+    path = log(tmp_path / "wrong.log", with_wrong_stamps(t, {place: error}), ids.tolist())
+    chunks, reader = read(path, kept)
+    found = np.concatenate([c.t for c in chunks])
+    assert found.max() - found.min() < SECONDS + 0.1
+    assert reader.rejected == {"bad_timestamp": 1}
+    assert f"is {error:+.1f} s from those" in reader.problems[0]
+    assert len(found) == (len(t) if kept is None else 12000) - 1
+
+
+def test_it_does_not_depend_on_the_chunks_which_stamps_are_damaged() -> None:
+    t, ids = (np.array(column) for column in zip(*sent()[:40], strict=True))
+    places = {7: 300.0, 9: -50.0, 20: 90.0, 21: 90.0, 30: 40.0, 38: 70.0, 39: -70.0}
+    stamps = with_wrong_stamps(t, places)
+    right = np.delete(stamps, [7, 9, 30])
+    everything = FrameColumns(
+        stamps, ids.astype("u4"), np.full(40, 8, "u1"), np.zeros((40, 8), "u1"),
+        np.zeros(40, "u1"), ("can0",),
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        cuts = [0, *np.unique(rng.integers(1, 40, rng.integers(1, 40))).tolist(), 40]
+        pieces = (everything.take(slice(a, b)) for a, b in pairwise(cuts))
+        statistics = ReadStatistics(strict=False)
+        found = list(by_the_clock("x.log", pieces, statistics))
+        assert np.array_equal(np.concatenate([c.t for c in found]), right)
+        assert statistics.rejected == {"bad_timestamp": 3}
+
+
+def test_two_clocks_by_turns_are_left_as_they_are(tmp_path: Path) -> None:
+    """Nobody knows which of them is right."""
+    t, ids = (np.array(column) for column in zip(*sent(), strict=True))
+    stamps = with_wrong_stamps(t, dict.fromkeys(range(1, len(t), 2), 1e6))
+    chunks, reader = read(log(tmp_path / "turns.log", stamps, ids.tolist()))
+    assert sum(map(len, chunks)) == len(t)
+    assert reader.rejected == {}
+
+
+def test_a_clock_that_is_set_and_a_hole_reject_no_frame(tmp_path: Path) -> None:
+    t, ids = (np.array(column) for column in zip(*sent(), strict=True))
+    stamps = t + 1.7e9 + 3600.0 * (t > 30.0) - 7200.0 * (t > 60.0) + 20.0 * (t > 90.0)
+    chunks, reader = read(log(tmp_path / "set.log", stamps, ids.tolist()))
+    assert sum(map(len, chunks)) == len(t)
+    assert reader.rejected == {}
+
+
+def test_a_channel_that_falls_silent_ends_no_reading(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    with path.open("w") as file:
+        for k in range(60_000):  # several blocks of text
+            channel = k % 2 if k < 20_000 else 0
+            file.write(f"({1e9 + 0.001 * k:.6f}) can{channel} 123#{k:016X}\n")
+    chunks, _ = read(path)
+    assert len(chunks) > 1
+    assert sum(map(len, chunks)) == 60_000

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -19,7 +19,7 @@ from imucald.can.logs.frame_batches import columns_of_frames
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, CandumpWriter, FrameColumns, LogReader
 from imucald.can.python_can import can
 from imucald.core.errors import LogError
-from log_text import Frame, frames_of, text_of
+from log_text import Frame, frames_of, text_of, without_damaged_stamps
 
 LENIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 CHANNELS = ("can0", "can1", "vcan10")
@@ -65,6 +65,7 @@ def stamp(t: float) -> str:
 def test_frames_are_read_back_as_they_were_written(
     tmp_path_factory: pytest.TempPathFactory, written: list[Frame]
 ) -> None:
+    assume(without_damaged_stamps(written) == written)
     path = tmp_path_factory.getbasetemp() / "back.log"
     with CandumpWriter(path) as writer:
         writer.write_columns(columns(written))

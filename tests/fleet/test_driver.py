@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import itertools
 import random
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
-from fleet_files import fleet_file, tables_of
+from fleet_files import CONFIG, fleet_file, tables_of
 
+from imucald.cli import main
 from imucald.core.errors import ImucaldError
+from imucald.fleet import driver
 from imucald.fleet.columns import TABLES, VERSION
+from imucald.fleet.compaction import read_tables
 from imucald.fleet.driver import ALL_ALIKE, AllFailedError, FleetRun
 from imucald.fleet.fleet_file import Fleet, load_fleet
 from imucald.fleet.lease import NAME, Lease
 from imucald.fleet.listing import list_logs
 from imucald.fleet.plan import Options, Plan, planned
 from imucald.fleet.store import Store
+from imucald.fleet.tables import write_part
 from imucald.fleet.task import Cost, Outcome, Task
+from paths import ROOT
 
 Judge = Callable[[Task, int], Outcome | None]
 
@@ -139,6 +146,57 @@ def test_a_replaced_or_late_log_costs_one_log(tmp_path: Path, fleet: Fleet) -> N
     assert tables_of(tmp_path / "out") == tables_of(tmp_path / "fresh")
 
 
+def test_a_killed_run_loses_a_tenth_of_its_time_and_at_most_a_minute(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = load_fleet(make_logs(tmp_path, ["x" * (i + 1) for i in range(300)]))
+    now, written = [0.0], [0.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0], time=time.time)
+    monkeypatch.setattr(driver, "time", clock)
+
+    class Steady(FakeWorkers):
+        """A log takes 4 s."""
+
+        def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
+            now[0] += 4.0
+            task = self._waiting.pop(0)
+            return [(task, good(task))]
+
+    def noted(store: Store, table: str, number: int, rows: Sequence[dict[str, object]]) -> None:
+        written.append(now[0])
+        write_part(store, table, number, rows)
+
+    monkeypatch.setattr(driver, "write_part", noted)
+    store = Store(str(tmp_path / "out"))
+    with Lease(store) as lease:
+        plan = planned(fleet, store, list_logs(fleet), Options())
+        run = FleetRun(fleet, store, Steady(good), plan)
+        run.counts.began = 0.0
+        run.go(lease)
+    lost = [(after - before, after) for before, after in itertools.pairwise(written)]
+    assert now[0] == 1200.0
+    assert all(gap <= 4.0 + min(60.0, 0.1 * t) for gap, t in lost)
+    assert len(lost) < 5 * 50, "a long run writes no more than once a minute"
+
+
+def test_drives_of_two_configurations_are_reported_where_they_are_read(
+    tmp_path: Path, fleet: Fleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "out")
+    go(fleet, out)
+    for action in ("status", "analyse"):
+        assert main(["fleet", action, "--out", out]) == 0
+        assert "configurations" not in capsys.readouterr().out
+    config = tmp_path / "car.yaml"
+    config.write_text(CONFIG.read_text().replace("../../dbc", str(ROOT / "dbc")))
+    (tmp_path / "fleet.yaml").write_text(f"logs: 'logs/**/*'\nconfig: {config}\n")
+    (tmp_path / "logs" / "car-0" / "000.log").write_text("y" * 50)
+    go(load_fleet(tmp_path / "fleet.yaml"), out)
+    for action in ("status", "analyse"):
+        assert main(["fleet", action, "--out", out]) == 0
+        assert "unknown (7 and 1 drives)" in " ".join(capsys.readouterr().out.split())
+
+
 def test_what_broke_off_in_the_middle_of_a_flush_does_no_harm(tmp_path: Path, fleet: Fleet) -> None:
     """Every prefix of the writes of a run, as a killed driver leaves it, then a resume."""
     go(fleet, tmp_path / "whole")
@@ -216,7 +274,7 @@ def test_a_run_whose_first_logs_all_fail_the_same_stops(tmp_path: Path) -> None:
     fleet = load_fleet(make_logs(tmp_path, [f"bad no_frames {i}" for i in range(60)]))
     with pytest.raises(AllFailedError, match=f"first {ALL_ALIKE} logs all failed: no_frames"):
         go(fleet, tmp_path / "out")
-    failures = pq.read_table(tmp_path / "out" / "failures" / "part-00000001.parquet")
+    failures = read_tables(Store(str(tmp_path / "out")), ("failures",))["failures"]
     assert len(failures) >= ALL_ALIKE, "what is known is written"
 
 

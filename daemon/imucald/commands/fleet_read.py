@@ -34,6 +34,7 @@ def status(options: argparse.Namespace) -> int:
     from imucald.commands.terminal import plain_console
     from imucald.fleet.compaction import read_tables
     from imucald.fleet.lease import holder_of
+    from imucald.fleet.reading import mixed_words
 
     store = _store(options)
     tables = read_tables(store, ("sources", "failures", "drives", "costs"))
@@ -53,6 +54,8 @@ def status(options: argparse.Namespace) -> int:
         f"{hours:.1f} h of driving, "
         f"{duration(cpu)} of processor time"
     )
+    if mixed := mixed_words(drives):
+        console.print(mixed)
     states = Counter(drives.column("state").to_pylist())
     console.print("states: " + (", ".join(f"{s} {n}" for s, n in states.most_common()) or "none"))
     if len(failures):
@@ -106,14 +109,18 @@ def why(options: argparse.Namespace) -> int:
 def analyse(options: argparse.Namespace) -> int:
     """Analyse all drives together, write `analysis/`, and print the most important results."""
     from imucald.commands.fleet_view import print_analysis
+    from imucald.commands.terminal import plain_console
     from imucald.fleet.analysis.analyse import GROUPS
+    from imucald.fleet.compaction import read_tables
     from imucald.fleet.lease import Lease
-    from imucald.fleet.reading import analyse_fleet
+    from imucald.fleet.reading import analyse_fleet, mixed_words
 
     store = _store(options)
     with Lease(store):
         tables = analyse_fleet(store, tuple(options.group) or GROUPS)
     print_analysis(tables)
+    if mixed := mixed_words(read_tables(store, ("drives",))["drives"]):
+        plain_console().print(mixed)
     return 0
 
 

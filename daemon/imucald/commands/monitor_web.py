@@ -105,7 +105,8 @@ class LiveState:
         return float(self._rows[-1][0]) if self._rows else -math.inf
 
     def add_history(self, found: Mapping[str, Any]) -> None:
-        """Add the daemon's rows after `newest`."""
+        """Add rows to the history. found: answer of the daemon to `history`: names of the columns,
+        and the rows that are newer than `newest`."""
         self._columns = list(found["columns"])
         self._rows.extend(found["rows"])
 

@@ -98,7 +98,7 @@ def _speed(fields: Sequence[SeenSignal], motion: Motion) -> Choice | None:
                  f"its changes show in the accelerometer (correlation {r.correlation:.2f})")
                 for r, c in fits
             ],
-            "these bytes are chosen by their changes alone",
+            "only the changes of these bytes show that they are a speed",
         )  # fmt: skip
     groups = speed_groups(fields)
     if not groups:

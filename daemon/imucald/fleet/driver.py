@@ -26,8 +26,11 @@ from imucald.fleet.workers import Workers
 AHEAD = 2
 """Number of submitted tasks per running task. With this number, no worker waits, and few tasks wait
 at the end."""
-FLUSH_ROWS = 500
 FLUSH_S = 60.0
+"""Longest time between two flushes [s]."""
+FLUSH_SHARE = 0.1
+"""Longest time between two flushes, as a share of the run's time. A run that is killed after some
+seconds therefore keeps most of its results, and a long run writes no more parts."""
 LOOK_S = 0.5
 ALL_ALIKE = SAMPLE
 """If this number of first logs all fail for the same reason, the run is aborted: the cause is not
@@ -122,8 +125,8 @@ class FleetRun:
                     waiting.appendleft(task)
                 else:
                     self._take(task, outcome)
-            due = time.monotonic() - self._flushed > FLUSH_S
-            if due or len(self._rows["sources"]) >= FLUSH_ROWS:
+            now = time.monotonic()
+            if now - self._flushed > min(FLUSH_S, FLUSH_SHARE * (now - self.counts.began)):
                 self._flush()
             lease.beat()
             self._report(self.counts)

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from imucald.api.recorder import SHIFT
 from imucald.core.errors import ImucaldError
 from imucald.fleet.analysis.analyse import GROUPS, analysed
+from imucald.fleet.analysis.causes import UNKNOWN
 from imucald.fleet.analysis_columns import ANALYSIS
 from imucald.fleet.columns import TABLES
 from imucald.fleet.compaction import read_tables
@@ -47,6 +48,29 @@ def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.
     for name, table in tables.items():
         store.write(main_file(name), as_parquet(table))
     return tables
+
+
+def mixed_words(drives: pa.Table) -> str:
+    """Return a text about types whose drives were evaluated with different configurations or
+    versions of imucald; "" if there are none.
+
+    drives: the table `drives`. All drives of a type have the same configuration in one run, so an
+    earlier run evaluated some of these drives.
+    """
+    counts: dict[str, Counter[str]] = {}
+    for row in drives.select(["vehicle_type", "run_key"]).to_pylist():
+        counts.setdefault(row["vehicle_type"] or UNKNOWN, Counter())[row["run_key"]] += 1
+    mixed = [
+        f"{kind} ({' and '.join(str(n) for _, n in keys.most_common())} drives)"
+        for kind, keys in sorted(counts.items())
+        if len(keys) > 1
+    ]
+    if not mixed:
+        return ""
+    return (
+        f"several configurations or versions evaluated the drives of one type: {', '.join(mixed)}; "
+        "'imucald fleet run --redo config' evaluates the older ones again"
+    )
 
 
 def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]:

@@ -391,11 +391,11 @@ class Contradictions:
 
     @property
     def agreed(self) -> bool:
-        """True if every pair that has pieces agrees in the last one.
+        """True if all pairs of signals that show turns agreed when they were last compared.
 
-        The pair of dv/dt and forward force need not agree: slope and a speed with few samples may
-        hide dv/dt. A pair without pieces is left to `alternatives`, whose log ratios also count
-        small turns.
+        A pair is compared in pieces of driving with enough turns. A pair without a piece so far
+        does not count: `alternatives` judges it, also by small turns. The pair of dv/dt and forward
+        force does not count either, because slopes and a speed with few samples may hide dv/dt.
         """
         return all(pair.agreed for pair in self._asked)
 

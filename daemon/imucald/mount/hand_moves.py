@@ -40,17 +40,19 @@ needs 0.5 m/s^2 at this speed."""
 
 
 class Witness(Struct, frozen=True):
-    """Properties of a signal that measures the turning of the vehicle.
+    """How far a signal that measures the turning of the vehicle may differ from the gyroscope.
 
-    least: smallest rotation of the gyroscope alone that counts [rad]. gain_share: tolerated
-    difference between gyroscope and vehicle, as a share of the angle turned between the two times.
+    The angles that both have turned between two times are compared. least: smallest difference that
+    shows that the sensor turned without the vehicle [rad]. gain_share: error of scale of the two
+    signals, as a share of the angle that the vehicle has turned. This share is subtracted from the
+    difference first.
     """
 
     least: float
     gain_share: float
 
     def beside(self, walk: float) -> Witness:
-        """Return these properties for a gyroscope whose angle has a random walk.
+        """Return these limits for a gyroscope whose angle has a random walk.
 
         walk: variance of the random walk per second [rad^2/s]. The walk enlarges `least` by
         `DEVIATIONS` of its standard deviations.

@@ -100,8 +100,8 @@ class ChecksSensors(Protocol):
         ...
 
     def restore_check(self, saved: object) -> None:
-        """Use the saved result of a check if it is plausible. The result is applied as soon as a
-        mount is known."""
+        """Use the result of a sensor check of an earlier drive. saved: the result as `saved_check`
+        gave it; an implausible result is ignored. It is applied as soon as a mount is known."""
         ...
 
 

@@ -156,8 +156,8 @@ class AttitudeConsumer:
         return _as_sensed(found, self._correction)
 
     def restore_check(self, saved: object) -> None:
-        """Store the sensor check of an earlier drive. The check is applied as soon as a mount is
-        known."""
+        """Store the result of a sensor check of an earlier drive, as `saved_check` gave it. The
+        result is applied as soon as a mount is known."""
         self._saved_check = CheckResult.from_saved(saved)
 
     def mounted(self, estimate: MountEstimate) -> None:

@@ -364,7 +364,8 @@ def saved_check(engine: Engine) -> Mapping[str, Any] | None:
 
 
 def restore_check(engine: Engine, saved: object) -> None:
-    """Use the saved result of a sensor check if it is plausible."""
+    """Give the result of a sensor check of an earlier drive to each part that makes such a check.
+    saved: content of the saved state; an implausible result is ignored."""
     for consumer in _checking(engine):
         consumer.restore_check(saved)
 

@@ -2,8 +2,8 @@
 
 A frame is treated as one integer of `8 * size` bits: little-endian for Intel signals, big-endian
 for Motorola signals. In this integer, each signal is one contiguous run of bits, `shift` bits above
-the low end. Columns are treated as 64-bit words of the same byte order. A signal has the same
-integer in a frame and in columns.
+the low end. In columns of many frames, the payload is read as 64-bit words of the same byte order.
+Both ways of reading give the same number for a signal.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
 """Correct the time stamps of a file with a model of the recorder's clock.
 
-A recorder reads a clock at the end of each frame. Three faults of the clock can be detected from
-the frames:
+A recorder reads a clock at the end of each frame. The stamps of neighbouring frames are therefore
+near each other. Four faults can be detected from the frames:
 
+- A single stamp is damaged, for example by a wrong bit on the disk: it is far from the stamps of
+  both neighbours, which are near each other. The frame is rejected.
 - The clock restarts (its higher digits are not printed): the same step back occurs repeatedly.
 - The clock is coarse, or frames are delivered in bursts: frames of one cyclic sender are closer
   together than a bus allows. They were sent after the previous burst, so they are spread evenly
@@ -67,13 +69,11 @@ def by_the_clock(
 ) -> Iterator[FrameColumns]:
     """Yield a file's frames with the times at which they were sent, as far as known.
 
-    The corrections are reported in a note of the statistics. Raises LogError if no bus can transmit
-    so many frames in the time of the stamps.
+    The corrections are reported in a note of the statistics. Frames with a damaged stamp are
+    rejected. Raises LogError if no bus can transmit so many frames in the time of the stamps.
     """
     bus, loop, bursts = _BusTime(log), None, None
-    for chunk in chunks:
-        if not len(chunk):
-            continue
+    for chunk in _without_damaged_stamps(log, chunks, statistics):
         if loop is None:
             loop = _Loop(_loop_length(chunk.t))
             if loop.length:
@@ -95,6 +95,61 @@ def by_the_clock(
             yield frames
     if bursts is not None and bursts.step and len(rest := bursts.rest()):
         yield rest
+
+
+def _without_damaged_stamps(
+    log: Log, chunks: Iterator[FrameColumns], statistics: ReadStatistics
+) -> Iterator[FrameColumns]:
+    """Yield the frames, in chunks that are not empty, without those that `_DamagedStamps` finds."""
+    damaged = _DamagedStamps(log, statistics)
+    for chunk in chunks:
+        if len(chunk) and len(frames := damaged.add_frames(chunk)):
+            yield frames
+    last = damaged.rest()
+    if last is not None and len(last):
+        yield last
+
+
+class _DamagedStamps:
+    """Rejects single frames whose stamp is more than `DAMAGED_STEP` from those of both neighbours,
+    which are nearer to each other than that.
+
+    Several such frames in a row are not rejected, because it is not known which stamps are right.
+    """
+
+    def __init__(self, log: Log, statistics: ReadStatistics) -> None:
+        self._log, self._statistics = log, statistics
+        self._before, self._is_alone_before = math.nan, False
+        self._open: list[FrameColumns] = []  # the next frame decides about these
+
+    def add_frames(self, frames: FrameColumns) -> FrameColumns:
+        """Add frames. Return those that are decided and right."""
+        return self._right(concatenate([*self._open, frames]), is_end=False)
+
+    def rest(self) -> FrameColumns | None:
+        """Return the right ones among the last frames; None if all frames were returned before."""
+        return self._right(concatenate(self._open), is_end=True) if self._open else None
+
+    def _right(self, frames: FrameColumns, is_end: bool) -> FrameColumns:
+        t = np.append(self._before, frames.t)
+        is_far = np.abs(np.diff(t)) > DAMAGED_STEP
+        is_alone = np.zeros(len(frames) + 1, dtype=bool)
+        is_alone[0] = self._is_alone_before
+        is_alone[1:-1] = is_far[:-1] & is_far[1:] & (np.abs(t[2:] - t[:-2]) <= DAMAGED_STEP)
+        run = is_far[-2:]
+        left = 0 if is_end else len(run) if run.all() else int(run[-1])
+        decided = len(frames) - left
+        is_wrong = is_alone[1:] & ~is_alone[:-1] & ~np.append(is_alone[2:], False)
+        is_wrong = is_wrong[:decided]
+        for k in np.flatnonzero(is_wrong).tolist():
+            self._statistics.reject(
+                "bad_timestamp",
+                f"{self._log}: the time stamp {t[k + 1]:.6f} is {t[k + 1] - t[k]:+.1f} s from "
+                "those of the frames before and after it",
+            )
+        self._open = [frames.take(slice(decided, len(frames)))] if left else []
+        self._before, self._is_alone_before = float(t[decided]), bool(is_alone[decided])
+        return frames.take(slice(0, decided)).take(~is_wrong) if is_far.any() else frames
 
 
 def _steps_back(t: Times) -> Times:
@@ -166,8 +221,9 @@ class _BusTime:
         self._last, self._frames = float(t[-1]), self._frames + len(frames)
         self._first = min(self._first, float(t.min()))
         self._end = max(self._end, float(t.max()))
-        on_bus: Times = np.bincount(frames.channel, _bus_seconds(frames)).astype(np.float64)
-        on_bus[: len(self._seconds)] += self._seconds
+        known = len(self._seconds)  # a channel of earlier frames may be silent now
+        on_bus: Times = np.bincount(frames.channel, _bus_seconds(frames), known).astype(np.float64)
+        on_bus[:known] += self._seconds
         self._seconds = on_bus
         self._back += int(np.count_nonzero(_steps_back(t)))
         needed, passed = float(on_bus.max()), self._end - self._first
