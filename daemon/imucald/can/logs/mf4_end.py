@@ -45,7 +45,7 @@ _OWN_LINKS: Final = {
 """Number of first links that point to parts of the block or to the next block; None: all links."""
 
 
-class _Group(NamedTuple):
+class _ChannelGroup(NamedTuple):
     """A channel group: its links, stated records and flags."""
 
     following: int
@@ -64,7 +64,7 @@ class _Structure:
         self._unfinished = unfinished
         self._placed, self._twice = {_FIRST}, 0
         self._data_groups: dict[int, tuple[int, int, int]] = {}  # group, data, bytes of record ids
-        self._groups: dict[int, _Group] = {}
+        self._groups: dict[int, _ChannelGroup] = {}
         self._channels: dict[int, tuple[int, int, int]] = {}  # next, composition, end [bytes]
         self._lists: dict[int, tuple[int, ...]] = {}  # blocks of a list of data
         self._in_parts: set[int] = set()  # lists of data with a following part
@@ -82,7 +82,9 @@ class _Structure:
             self._data_groups[at] = links[1], links[2], data[0]
         elif kind == b"##CG" and len(links) > 1 and len(data) >= _GROUP.size:
             records, flags, samples, invalidation = _GROUP.unpack_from(data)
-            self._groups[at] = _Group(links[0], links[1], records, flags, samples + invalidation)
+            self._groups[at] = _ChannelGroup(
+                links[0], links[1], records, flags, samples + invalidation
+            )
         elif kind == b"##LD":
             # It leaves out the invalidation bits of valid records: no more bytes than samples.
             self._lists[at] = links + links[1:]

@@ -1212,7 +1212,7 @@ def force_fits(signals: OtherSignals) -> Fits:
 
 def _over_segments(slopes: Slopes, segments: Array | NDArray[np.int_]) -> Array:
     """Return the variances (n, 2) of the mean slope of the bends in road segments (n,)."""
-    return slopes.over(SLOPE_M * (segments - 1.0))
+    return slopes.over(np.asarray(SLOPE_M * (segments - 1.0), dtype=float))
 
 
 def _leaning(lateral: Array, accel: Array) -> Array:
