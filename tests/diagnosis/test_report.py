@@ -615,7 +615,8 @@ def test_a_cause_that_no_key_holds_is_corrected_at_its_source():
     clipped = replace(cause("saturation"), signals=("accel",))
     said = words.verdict(made.found(causes=(clipped,), model_after=made.BEFORE))
     assert said.next == (
-        "Correct accelerometer at the source: the model file has no key for what was found."
+        "Correct the saturation of accelerometer in the sensor or its sender: the model file has "
+        "no key for what was found."
     )
 
 

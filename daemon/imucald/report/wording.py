@@ -304,8 +304,9 @@ def _use_of_file(diagnosis: Diagnosis) -> str:
     use, why = advice(diagnosis)
     if use == UNCHANGED:
         signals = dict.fromkeys(n for cause in diagnosis.causes for n in cause.signals)
-        names = in_series([signal_title(n) for n in signals])
-        return f"Correct {names or 'the cause'} at the source: {why}."
+        where = f" of {in_series([signal_title(n) for n in signals])}" if signals else ""
+        what = in_series([cause_title(cause.name) for cause in diagnosis.causes])
+        return f"Correct the {what}{where} in the sensor or its sender: {why}."
     text = use.replace(" it", " the extended model file (--write-model FILE)", 1)
     return f"{text[:1].upper()}{text[1:]}: {why}."
 
