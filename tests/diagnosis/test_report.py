@@ -626,7 +626,7 @@ def test_a_search_that_was_ended_early_is_run_again_first():
 
 def test_a_loose_sensor_is_fastened():
     turned = made.found(causes=(replace(made.ROLL, name="mount_shift"),))
-    assert words.verdict(turned).next.startswith("Fasten the sensor. Use the extended model file")
+    assert words.verdict(turned).next.startswith("Fasten the sensor, and record a new drive.")
     assert "If the sensor is loose, fasten it" in words.verdict(made.unknown()).next
     assert words.verdict(made.nothing()).next.startswith("Nothing to do")
 

@@ -96,7 +96,9 @@ def replay(
         except LogError as error:
             if strict:
                 raise
-            failed.append((str(one), str(error)))
+            is_name = isinstance(one, str | os.PathLike)
+            name = one if is_name else getattr(one, "name", "<open file>")
+            failed.append((str(name), str(error)))
     if not drives:
         raise LogError("; ".join(reason for _, reason in failed))
     return DriveSet(tuple(drives), *between_drives(drives), tuple(failed))

@@ -272,7 +272,10 @@ def next_step(diagnosis: Diagnosis) -> str:
         ways = _manoeuvres([name for group in diagnosis.look_alikes for name in group])
         return f"Record another drive{ways}, and diagnose it together with these logs. {file}"
     if any(cause.name in ("mount_shift", "mount_creep") for cause in diagnosis.causes):
-        return f"Fasten the sensor. {file}"
+        return (
+            "Fasten the sensor, and record a new drive. The extended model file holds for these "
+            "drives only."
+        )
     if diagnosis.causes:
         return file
     if diagnosis.likely:
