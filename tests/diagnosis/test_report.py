@@ -599,6 +599,13 @@ def test_a_headline_has_the_size_of_each_cause():
             cause("delay_rate", **drift),
             cause("signal_delay", **{"steering.delay_s": Estimated(0.12, 0.01, "s", 0.01)}),
             cause("mount_shift", **shift),
+            cause(
+                "saturation",
+                **{
+                    "_accel.clipped": Estimated(0.12, 0.0, "1"),
+                    "accel.full_scale": Estimated(20.0, 0.0, "m/s^2", 39.2),
+                },
+            ),
             cause("saturation"),
         )
     ]
@@ -607,16 +614,23 @@ def test_a_headline_has_the_size_of_each_cause():
         "clocks with different rates (203 ppm)",
         "signal delay (steering delay: 120 ms instead of 10.0)",
         "mount shift (yaw: 5.04 deg)",
+        "saturation (accelerometer clipped: 12.0 %)",
         "saturation",
     ]
+
+
+def test_a_number_that_no_key_holds_is_not_shown_as_one():
+    (row,) = words.parameter_rows(cause("saturation", **{
+        "_accel.clipped": Estimated(0.12, 0.0, "1")}))  # fmt: skip
+    assert row == ("accelerometer clipped", "12.00 %", "-", "", "12.00 %")
 
 
 def test_a_cause_that_no_key_holds_is_corrected_at_its_source():
     clipped = replace(cause("saturation"), signals=("accel",))
     said = words.verdict(made.found(causes=(clipped,), model_after=made.BEFORE))
     assert said.next == (
-        "Correct the saturation of accelerometer in the sensor or its sender: the model file has "
-        "no key for what was found."
+        "Correct the cause in the sensor or its sender (accelerometer): the model file has no key "
+        "for what was found."
     )
 
 

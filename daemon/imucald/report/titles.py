@@ -44,7 +44,7 @@ QUANTITIES: Mapping[str, str] = {
     "scale": "gain error", "offset": "offset", "turn": "turn", "bias": "zero error",
     "full_scale": "range", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
     "clock_drift_ppm": "clock error", "steering_ratio": "steering ratio", "t_s": "time",
-    "shifts": "shift", "lowpass_hz": "cut-off",
+    "shifts": "shift", "lowpass_hz": "cut-off", "clipped": "clipped",
 }  # fmt: skip
 
 

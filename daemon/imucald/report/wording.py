@@ -307,9 +307,8 @@ def _use_of_file(diagnosis: Diagnosis) -> str:
     use, why = advice(diagnosis)
     if use == UNCHANGED:
         signals = dict.fromkeys(n for cause in diagnosis.causes for n in cause.signals)
-        where = f" of {in_series([signal_title(n) for n in signals])}" if signals else ""
-        what = in_series([cause_title(cause.name) for cause in diagnosis.causes])
-        return f"Correct the {what}{where} in the sensor or its sender: {why}."
+        where = f" ({in_series([signal_title(n) for n in signals])})" if signals else ""
+        return f"Correct the cause in the sensor or its sender{where}: {why}."
     text = use.replace(" it", " the extended model file (--write-model FILE)", 1)
     return f"{text[:1].upper()}{text[1:]}: {why}."
 
@@ -377,6 +376,9 @@ def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
     rows = []
     for key, p in (*cause.in_file.items(), *cause.along_vehicle.items()):
         shown, stated = for_people(key, p)
+        if key.startswith("_"):  # no key of the model file
+            rows.append(ParameterRow(key_title(key), shown, "-", "", shown))
+            continue
         of_file = "" if key in cause.along_vehicle else key
         rows.append(ParameterRow(key_title(key), shown, stated, of_file, in_file(p)))
     return rows

@@ -211,7 +211,7 @@ def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterat
     hit = found.on_rail
     if hit.any():
         share = float(hit.mean())
-        shown = ", ".join(f"{end:.4g}" for end in found.ends)
+        shown = ", ".join(f"{_axis_of(series.values, end)}{end:.4g}" for end in found.ends)
         unit, size = QUANTITIES[name].unit, _common_range(series.values, found.ends)
         text = (
             f"{100 * share:.2g} % of the samples have the value {shown} {unit}, more than "
@@ -222,14 +222,26 @@ def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterat
                 " The model file has one range for all axes and signs, so it cannot hold "
                 f"{'these values' if len(found.ends) > 1 else 'this value'}."
             )
+        values = {f"_{name}.clipped": (share, 0.0, "1")}
+        if size:
+            values[f"{name}.full_scale"] = size, 0.0, unit
         yield Fault(
-            "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {}, text,
+            "saturation", name, values, text,
             {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
             spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
         )  # fmt: skip
     held = _runs_of(series.t, found.stuck & ~hit)
     if spans := [span for span in held if not is_shown_often(series, span)]:
         yield stuck_fault(name, spans)
+
+
+def _axis_of(values: Array, end: float) -> str:
+    """Return the name of the axis whose largest or smallest value is this end, with a blank; empty
+    for a signal (N,) without axes. values: (N,) or (N, 3)."""
+    if values.ndim == 1:
+        return ""
+    is_end = (values.max(axis=0) == end) | (values.min(axis=0) == end)
+    return f"{'xyz'[int(np.argmax(is_end))]} "
 
 
 def _common_range(values: Array, ends: Sequence[float]) -> float:
