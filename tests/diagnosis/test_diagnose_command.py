@@ -73,7 +73,7 @@ def diagnosed(capsys):
 def test_the_summary_says_what_was_found_in_words(asked, diagnosed, log):
     status, out, err = diagnosed(log)
     assert (status, err) == (0, "")
-    assert "Found: body roll (9.62 deg/g instead of 4.50)" in out
+    assert "Found: body roll (9.62 instead of 4.50 deg/g)" in out
     assert "suspension.roll_gradient" in out
     assert "9.62 ± 0.35 deg/g" in out  # 95 %: two deviations
     assert "4.50 deg/g" in out, "what the file said"
@@ -164,7 +164,7 @@ def test_the_written_model_loads_and_says_where_it_comes_from(asked, diagnosed, 
     modeline, *head = [line for line in model.read_text().splitlines() if line.startswith("#")]
     assert modeline.startswith("# yaml-language-server: $schema=")
     assert "drive.log (12 s)" in head[1]
-    assert "Found: body roll (9.62 deg/g instead of 4.50) and accelerometer bias" in head[2]
+    assert "Found: body roll (9.62 instead of 4.50 deg/g) and accelerometer bias" in head[2]
     assert "suspension.roll_gradient: 0.008 -> 0.0171235" in head[3]
 
 

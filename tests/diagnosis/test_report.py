@@ -51,7 +51,7 @@ def found() -> Page:
 def test_causes_come_with_values_intervals_and_evidence(found):
     text = found.text
     assert (
-        "Found: body roll (9.62 deg/g instead of 4.50) and accelerometer bias (left: 25.2 mg)"
+        "Found: body roll (9.62 instead of 4.50 deg/g) and accelerometer bias (left: 25.2 mg)"
         in text
     )
     assert "Two causes are certain." in text
@@ -158,7 +158,7 @@ def test_nothing_found_claims_nothing():
 def test_a_likely_cause_alone_is_the_headline_and_not_green():
     diagnosis = replace(made.nothing(), likely=(replace(made.ROLL, certainty="likely"),))
     text = words.verdict(diagnosis)
-    assert text.headline == "Likely: body roll (9.62 deg/g instead of 4.50)"
+    assert text.headline == "Likely: body roll (9.62 instead of 4.50 deg/g)"
     assert text.next.startswith("Record a longer drive (a slalom on a flat road)")
     assert "Nothing is certain." in text.explanation
     assert "fits" not in text.explanation
@@ -612,7 +612,7 @@ def test_a_headline_has_the_size_of_each_cause():
     assert said == [
         "gyroscope bias (up: 1.00 deg/s)",
         "clocks with different rates (203 ppm)",
-        "signal delay (steering delay: 120 ms instead of 10.0)",
+        "signal delay (steering delay: 120 instead of 10.0 ms)",
         "mount shift (yaw: 5.04 deg)",
         "saturation (accelerometer clipped: 12.0 %)",
         "saturation",
@@ -640,7 +640,10 @@ def test_a_search_that_was_ended_early_is_run_again_first():
 
 def test_a_loose_sensor_is_fastened():
     turned = made.found(causes=(replace(made.ROLL, name="mount_shift"),))
-    assert words.verdict(turned).next.startswith("Fasten the sensor, and record a new drive.")
+    assert words.verdict(turned).next == (
+        "Fasten the sensor, and record a new drive. Use the extended model file (--write-model "
+        "FILE) for these drives only: the sensor was turned during them."
+    )
     assert "If the sensor is loose, fasten it" in words.verdict(made.unknown()).next
     assert words.verdict(made.nothing()).next.startswith("Nothing to do")
 

@@ -76,12 +76,11 @@ def for_people(key: str, p: Estimated) -> tuple[str, str]:
 
 def size_text(key: str, p: Estimated) -> str:
     """Return the value in a familiar unit for a headline. A value of the model file that is not 0
-    follows: `13.6 instead of 15.6`."""
+    follows: `103 instead of 10.0 ms`."""
     factor, unit = _familiar(key, p)
-    shown = f"{number(factor * p.value)} {unit}".strip()
-    if not p.stated or not math.isfinite(p.stated):
-        return shown
-    return f"{shown} instead of {number(factor * p.stated)}"
+    is_stated = bool(p.stated) and math.isfinite(p.stated)
+    stated = f" instead of {number(factor * p.stated)}" if is_stated else ""
+    return f"{number(factor * p.value)}{stated} {unit}".strip()
 
 
 def _familiar(key: str, p: Estimated) -> tuple[float, str]:

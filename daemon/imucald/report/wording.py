@@ -271,17 +271,18 @@ def next_step(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "ambiguous":
         ways = _manoeuvres([name for group in diagnosis.look_alikes for name in group])
         return f"Record another drive{ways}, and diagnose it together with these logs. {file}"
-    if any(cause.name in ("mount_shift", "mount_creep") for cause in diagnosis.causes):
-        return (
-            "Fasten the sensor, and record a new drive. The extended model file holds for these "
-            "drives only."
-        )
+    if _is_turned(diagnosis):
+        return f"Fasten the sensor, and record a new drive. {file}"
     if diagnosis.causes:
         return file
     if diagnosis.likely:
         ways = _manoeuvres([cause.name for cause in diagnosis.likely])
         return f"Record a longer drive{ways}, and diagnose it together with these logs."
     return "Nothing to do: the model file fits these drives."
+
+
+def _is_turned(diagnosis: Diagnosis) -> bool:
+    return any(cause.name in ("mount_shift", "mount_creep") for cause in diagnosis.causes)
 
 
 def _manoeuvres(names: Sequence[str]) -> str:
@@ -321,6 +322,8 @@ def advice(diagnosis: Diagnosis) -> tuple[str, str]:
         return "use it", (
             "its new values were measured at stops or read from samples, so the fit does not change"
         )
+    if diagnosis.recommended and _is_turned(diagnosis):
+        return "use it for these drives only", "the sensor was turned during them"
     if diagnosis.recommended and (why := for_prediction_only(diagnosis)):
         return "use it for prediction only", f"it contains {why}"
     if diagnosis.recommended:
