@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imucald import replay
 from paths import ROOT
 
 NAMES = sorted(path.stem for path in (ROOT / "config" / "examples").glob("*.yaml"))
@@ -154,3 +155,30 @@ def test_the_table_has_every_example_with_its_end() -> None:
         found = ENDS.search((ROOT / "config" / "examples" / f"{name}.yaml").read_text())
         ends[name] = None if found is None else found[1]
     assert rows == ends
+
+
+def test_the_csv_of_a_phone_becomes_a_log_whose_samples_are_its_rows(tmp_path: Path) -> None:
+    rows = tmp_path / "phone.csv"
+    rows.write_text(
+        "t,AccelX,AccelY,AccelZ,GyroX,GyroY,GyroZ,Speed\n"
+        + "".join(
+            f"{1.6e9 + k / 50},0.1,-0.2,9.8,0.01,-0.02,{k / 100},{'' if k % 50 else k / 10}\n"
+            for k in range(500)
+        )
+    )
+    examples = ROOT / "config" / "examples"
+    log, config = tmp_path / "phone.log", tmp_path / "phone.yaml"
+    subprocess.run([sys.executable, examples / "phone_csv.py", rows, log], check=True)
+    axes = "{x: Phone%s.%sX, y: Phone%s.%sY, z: Phone%s.%sZ}"
+    config.write_text(
+        f"database: {examples / 'dbc' / 'phone.dbc'}\n"
+        "signals:\n"
+        f"  accelerometer: {axes % (('Accel',) * 6)}\n"
+        f"  gyroscope: {axes % (('Gyro',) * 6)}\n"
+        "  speed: PhoneSpeed.Speed\n"
+    )
+    drive = replay(str(config), log)
+    accel, speed = drive.raw("accel").to_pydict(), drive.raw("speed").to_pydict()
+    assert [len(accel["t_s"]), len(speed["t_s"])] == [500, 10]
+    assert accel["raw_accel_z_mps2"][7] == pytest.approx(9.8, abs=0.001)
+    assert accel["t_s"][-1] == pytest.approx(499 / 50, abs=1e-3)

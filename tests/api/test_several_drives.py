@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import pickle
+import re
 
 import pytest
 from replayed_drive import config
 
 import imucald
 import shuttle
-from imucald.api.between_drives import notes_between
+from imucald import cli
+from imucald.api.between_drives import between_drives
 from imucald.api.drives import names_apart
 
 
@@ -40,6 +43,15 @@ def test_several_logs_are_several_drives(tmp_path):
     assert len(moved) == 1
     assert "b.log and" in moved[0]
     assert "c.log" in moved[0]
+    assert "of several vehicles use 'imucald fleet'" in moved[0]
+    assert any(
+        re.fullmatch(
+            r"the mounts of .*a.log and .*b.log agree within chance: (?:[xyz] [+-]\d\.\d\d ± "
+            r"\d\.\d\d(?:, )?){3} deg about the vehicle's axes",
+            text,
+        )
+        for text in found.agreements
+    ), found.agreements
     frame = found.to_pandas()
     assert len(frame) == 5
     assert list(frame["log"]) == [str(name) for name in names]
@@ -48,6 +60,28 @@ def test_several_logs_are_several_drives(tmp_path):
     assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
     joined = imucald.replay(loaded, names[:2], joined=True, signals=False)
     assert joined.to_dict()["frames"]["read"] == sum(d.frames["read"] for d in found.drives[:2])
+
+
+def test_a_log_that_cannot_be_read_does_not_lose_the_others(tmp_path, capsys):
+    file = shuttle.write(tmp_path)
+    good, broken = tmp_path / "shuttle.log", tmp_path / "broken.log"
+    broken.write_text("no frame\n")
+    loaded = imucald.Config.load(file)
+    found = imucald.replay(loaded, [broken, good], signals=False)
+    assert [drive.state for drive in found] == [imucald.replay(loaded, good).state]
+    ((name, reason),) = found.failed
+    assert name == str(broken)
+    assert "broken.log" in reason
+    assert found.to_dict()["failed"] == [{"log": name, "reason": reason}]
+    assert "broken.log" in repr(found)
+    with pytest.raises(imucald.LogError):
+        imucald.replay(loaded, [broken, good], strict=True)
+    with pytest.raises(imucald.LogError, match="broken"):
+        imucald.replay(loaded, [broken])
+    out = tmp_path / "all.json"
+    arguments = ["replay", "--config", str(file), str(broken), str(good), "--json", str(out)]
+    assert cli.main([*arguments, "--quiet"]) == 1
+    assert json.loads(out.read_text())["failed"] == [{"log": name, "reason": reason}]
 
 
 def test_drives_that_overlap_have_no_order_and_so_no_move_between_them(tmp_path):
@@ -68,13 +102,13 @@ def test_a_move_within_a_drive_is_none_between_it_and_the_one_before(tmp_path, m
     for t0, yaw_deg in ((1.6e9, 25.0), (1.6e9 + 1000, 35.0)):
         first = shuttle.write(tmp_path, yaw_deg=yaw_deg, t0=t0)
         drives.append(imucald.replay(imucald.Config.load(first), tmp_path / "shuttle.log"))
-    (between,) = notes_between(drives)
+    (between,) = between_drives(drives).notes
     assert "was moved between" in between
     shift = {"t": 396.0, "within_deg": None}
     result = drives[1].to_dict()
     result["details"]["shifts"] = [shift]
     monkeypatch.setattr(type(drives[1]), "to_dict", lambda _: result)
-    notes = list(notes_between(drives))
+    notes = list(between_drives(drives).notes)
     within = notes[-1]
     assert not any("was moved between" in note for note in notes)
     assert "was moved within" in within

@@ -299,10 +299,25 @@ def test_what_nothing_is_learnt_from_is_named_with_signal_cause_and_time(frames:
         silent.append(chunk.take(~((chunk.can_id == 0x1A0) & (t > 100.0) & (t < 130.0))))
     said = findings(checked(silent), "note")["log"]
     seconds = re.search(
-        r"the log has 240 s; the calibration does not use: speed: no valid sample for (\d+) s", said
+        r"of 240 s, (\d+) s \(no valid speed sample\) could not be used for the mount", said
     )
     assert seconds is not None, said
     assert 25 <= int(seconds[1]) <= 35
+
+
+def test_a_log_that_shows_no_mount_for_most_of_its_time_is_said_in_the_last_line(
+    frames: Frames, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of such a log only 'this configuration can be used' was said."""
+    began = frames[0].t[0]
+    silent = [chunk.take((chunk.can_id != 0x1A0) | (chunk.t - began < 100.0)) for chunk in frames]
+    report = checked(silent)
+    assert report["usable"]
+    assert report["used_for_mount_s"] == pytest.approx(100.0, abs=10.0)
+    assert "could not be used for the mount" in findings(report, "warning")["log"]
+    print_report(report)
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert re.search(r"only (9\d|10\d) of 240 s of this log could be used for the mount", last)
 
 
 def twice(frames: Frames, later: float = 0.0) -> Frames:

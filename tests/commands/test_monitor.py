@@ -444,7 +444,7 @@ def test_what_is_not_learnt_from_is_a_row_where_there_is_something(status):
     assert "not used" not in text()
     left_out = {"signal": "speed", "cause": "stuck", "seconds": 12.0}
     status["details"]["not_learnt_from"] = [left_out]
-    assert "not used  speed: stuck for 12 s" in text()
+    assert "not used  12 s (speed stuck)" in text()
 
 
 def test_inputs_say_what_is_wrong_with_them(status):

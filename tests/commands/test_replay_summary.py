@@ -58,8 +58,8 @@ def test_a_sensor_that_sticks_is_reported_with_its_time(
     assert the_one_event(lines).startswith("at 1:4")
     text = " ".join(line.strip() for line in lines)
     left_out = text.partition("not used for the mount")[2]
-    assert "accelerometer: no valid sample for" in left_out
-    assert "accelerometer: stuck for" in left_out
+    assert "s (no valid accelerometer sample)" in left_out
+    assert "s (accelerometer stuck)" in left_out
 
 
 def test_a_sensor_that_sticks_before_the_mount_is_known_is_what_it_waits_for(

@@ -73,12 +73,13 @@ def diagnosed(capsys):
 def test_the_summary_says_what_was_found_in_words(asked, diagnosed, log):
     status, out, err = diagnosed(log)
     assert (status, err) == (0, "")
-    assert "Found: body roll and accelerometer bias" in out
+    assert "Found: body roll (9.62 instead of 4.50 deg/g)" in out
     assert "suspension.roll_gradient" in out
     assert "9.62 ± 0.35 deg/g" in out  # 95 %: two deviations
     assert "4.50 deg/g" in out, "what the file said"
     assert "673 nats likelier" in out
-    assert "use it" in out
+    assert "Next: Use the extended model file (--write-model FILE)" in out
+    assert "Rows with 'nothing' may exceed the floor" in out
     assert "against it: it predicts worse in 40 % of the segments" in out
     assert re.search("not named.*\n *accelerometer scale +not decidable here", out)
     assert "note: no temperature signal" in out
@@ -86,7 +87,7 @@ def test_the_summary_says_what_was_found_in_words(asked, diagnosed, log):
 
 def test_changes_are_those_of_a_model_file_only_where_there_is_one(asked, diagnosed, log, tmp_path):
     _, out, _ = diagnosed(log)
-    assert "estimated for this diagnosis, suspension.roll_gradient: 0.008 -> 0.0171235" in out
+    assert "found, suspension.roll_gradient: 0.008 -> 0.0171235" in out
     assert "model file, suspension" not in out
     _, out, _ = diagnosed(log, "--write-model", tmp_path / "extended.yaml")
     assert "model file, suspension.roll_gradient: 0.008 -> 0.0171235" in out
@@ -163,7 +164,7 @@ def test_the_written_model_loads_and_says_where_it_comes_from(asked, diagnosed, 
     modeline, *head = [line for line in model.read_text().splitlines() if line.startswith("#")]
     assert modeline.startswith("# yaml-language-server: $schema=")
     assert "drive.log (12 s)" in head[1]
-    assert "Found: body roll and accelerometer bias" in head[2]
+    assert "Found: body roll (9.62 instead of 4.50 deg/g) and accelerometer bias" in head[2]
     assert "suspension.roll_gradient: 0.008 -> 0.0171235" in head[3]
 
 

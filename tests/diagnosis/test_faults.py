@@ -54,10 +54,32 @@ def test_values_that_pile_up_are_a_rail(share):
     found = causes(samples)
     assert list(found) == ["saturation:accel"]
     fault = found["saturation:accel"]
-    assert fault.values["accel.full_scale"][0] == pytest.approx(abs(rail))
+    assert f"have the value x {rail:.4g} m/s^2" in fault.text
     spans = invalid_spans([fault], samples, {})["accel"]
     hit = samples["accel"].t[x[:, 0] >= rail]
     assert all(any(a <= t <= b for a, b in spans) for t in hit)
+
+
+def clipped(low, high) -> dict[str, Series]:
+    """A drive whose accelerometer axes lie between these values (3,), with the codes of 0.002."""
+    samples = drive()
+    x = np.clip(samples["accel"].values, low, high)
+    return samples | {"accel": Series(samples["accel"].t, np.round(x / 0.002) * 0.002)}
+
+
+def test_a_range_that_all_axes_share_is_stated():
+    """A converter has one code more below zero."""
+    fault = causes(clipped(-10.002, 10.0))["saturation:accel"]
+    assert fault.values["accel.full_scale"][0] == pytest.approx(10.0, abs=0.003)
+    assert fault.changes == {"accel.full_scale": fault.values["accel.full_scale"][0]}
+
+
+def test_a_range_of_one_axis_is_not_stated_because_the_key_holds_for_all_axes():
+    """The file with the range of x made a simulation clip gravity too."""
+    fault = causes(clipped([-1.3, -99.0, -99.0], [1.3, 99.0, 10.3]))["saturation:accel"]
+    assert list(fault.values) == ["_accel.clipped"]
+    assert fault.changes == {}
+    assert "one range for all axes and signs" in fault.text
 
 
 @pytest.mark.parametrize("lsb", [0.002, 0.125])
@@ -86,7 +108,7 @@ def test_an_axis_that_never_goes_beyond_zero_is_clipped_and_states_no_range():
     x[:, 0] = np.minimum(x[:, 0] - float(np.quantile(x[:, 0], 0.97)), 0.0)
     samples["accel"] = Series(samples["accel"].t, x)
     fault = causes(samples)["saturation:accel"]
-    assert fault.values == {}
+    assert list(fault.values) == ["_accel.clipped"]
     assert fault.changes == {}
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
+from imucald.diagnosis.direct.faults import spans_of
 from imucald.diagnosis.direct.single_values import held_values
 from imucald.diagnosis.signals import drive_of
 
@@ -40,3 +41,15 @@ def test_a_dead_zone_is_a_value_that_is_held():
 @pytest.mark.parametrize(("lsb", "noise"), [(0.0005, 0.01), (0.02, 0.004)])
 def test_a_sound_sensor_holds_no_value_nor_does_a_coarse_one(lsb, noise):
     assert list(held_values([drive(lsb=lsb, noise=noise)])) == []
+
+
+def test_the_end_of_a_range_is_not_also_a_held_value():
+    """A clipped axis was reported twice: as saturation, and as a pattern that no cause explains."""
+    one = drive(dead=0.03)
+    t, x = one.channels["gyro"].t, one.channels["gyro"].values
+    at_end = x[:, 0] == 0.0
+    samples = {
+        name: Series(one.channels[name].t, one.channels[name].values) for name in ("accel", "gyro")
+    } | {"speed": Series(one.knots.t, one.knots.values)}
+    found = held_values([drive_of(samples, {"gyro": spans_of(t, at_end)})])
+    assert "gyro_x" not in {s.signal for s in found}

@@ -56,7 +56,7 @@ def in_time(t, _):
 def test_what_goes_round_with_a_wheel_is_found_however_seldom_it_is_sampled(period_s, round_m):
     (one,) = found(period_s, turning(round_m))
     assert one.kind == Kind.TURNS_WITH_WHEEL
-    assert f"once in {round_m:.1f}" in one.text
+    assert f"once per {round_m:.1f}" in one.text
     # Between samples a second apart the way is known less well, and part of a swing is lost.
     least = 0.3 if period_s == 1.0 else 0.6
     assert least < one.size * RUN_OUT / 0.02 < 1.4
@@ -64,7 +64,7 @@ def test_what_goes_round_with_a_wheel_is_found_however_seldom_it_is_sampled(peri
 
 def test_an_oval_wheel_swings_twice_a_turn():
     (one,) = found(0.5, turning(0.95))
-    assert "twice in 1.9" in one.text
+    assert "twice per 1.9" in one.text
 
 
 @pytest.mark.parametrize(

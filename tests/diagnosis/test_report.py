@@ -50,7 +50,10 @@ def found() -> Page:
 @pytest.mark.slow
 def test_causes_come_with_values_intervals_and_evidence(found):
     text = found.text
-    assert "Found: body roll and accelerometer bias" in text
+    assert (
+        "Found: body roll (9.62 instead of 4.50 deg/g) and accelerometer bias (left: 25.2 mg)"
+        in text
+    )
     assert "Two causes are certain." in text
     assert "Body roll in bends differs from the model file's." in text
     assert "0.01712 ± 0.00062 rad/(m/s²)" in text
@@ -69,7 +72,7 @@ def test_gain_signals_and_what_was_not_named_are_there(found):
     assert (
         "accelerometer left found m/s² 0.312 0.101 0.0940 -68 % 0.300 → 0.0800 offset +0.13" in text
     )
-    assert "use it" in text
+    assert "Use the extended model file (--write-model FILE): it predicts better" in text
     outcomes = ["accelerometer scale not decidable here", "gyroscope scale within tolerance"]
     places = [text.index(one) for one in outcomes]
     assert places == sorted(places), "what pays most comes first"
@@ -79,8 +82,11 @@ def test_gain_signals_and_what_was_not_named_are_there(found):
 def test_a_file_that_makes_anything_worse_is_not_recommended():
     worse = made.found(gain=Gain(673.0, (590.0, 755.0), ("gyro_x",)), recommended=False)
     text = page(worse).text
-    assert "not recommended: it predicts gyroscope forward worse" in text
-    assert "use it" not in text
+    assert (
+        "Next: Do not use the extended model file (--write-model FILE): it predicts gyroscope "
+        "forward worse. The causes are certain, but a written value that this signal shows is wrong"
+        in text
+    )
 
 
 @pytest.mark.slow
@@ -102,7 +108,10 @@ def test_the_extended_model_is_shown_as_a_diff_and_in_full(found):
 
 def test_ambiguous_says_what_it_may_be_and_how_to_tell():
     text = Page(whole("ambiguous")).text
-    assert "Ambiguous: accelerometer bias, accelerometer cross-axis or mount rotation" in text
+    assert (
+        "Ambiguous: accelerometer bias (left: 25.2 mg), accelerometer cross-axis or mount rotation"
+        in text
+    )
     for way in ("curves both ways and stops facing both ways", "straight braking and slow"):
         assert way in text
     assert "What it may be" in text
@@ -118,9 +127,9 @@ def test_the_file_of_an_ambiguous_verdict_is_for_prediction_only():
     d = replace(made.ambiguous(), look_alikes=(two,), model_after=made.AFTER)
     why = "one of two causes that fit equally well"
     text = page(d).text
-    assert f"for prediction only: it contains {why}" in words.verdict(d).explanation
-    assert words.advice(d) == ("is for prediction only", f"it contains {why}")
-    assert "use it" not in text
+    assert f"for prediction only: it contains {why}" in words.verdict(d).next
+    assert words.advice(d) == ("use it for prediction only", f"it contains {why}")
+    assert words.verdict(d).next.startswith("Record another drive (curves both ways")
     assert "nothing that was looked for" not in text
     assert "mount rotation fits as well" in text
     assert "Largest reduction of a residual, on data not used for the fit by 68 %" in text
@@ -133,7 +142,7 @@ def test_one_way_to_separate_two_causes_stands_once():
 def test_unknown_says_where_the_structure_lives():
     text = Page(whole("unknown")).text
     assert "the model does not explain accelerometer left and vehicle yaw rate" in text
-    assert "spectral peak 41.0 at 0.62 Hz, while cornering" in text
+    assert "spectral peak at 0.62 Hz, while cornering" in text
     assert "there is no gain" not in Page(whole("found")).text
     assert "there is no gain" in text
     assert "Residual reduced" not in text, "nothing was fitted"
@@ -149,7 +158,8 @@ def test_nothing_found_claims_nothing():
 def test_a_likely_cause_alone_is_the_headline_and_not_green():
     diagnosis = replace(made.nothing(), likely=(replace(made.ROLL, certainty="likely"),))
     text = words.verdict(diagnosis)
-    assert text.headline == "Likely: body roll"
+    assert text.headline == "Likely: body roll (9.62 instead of 4.50 deg/g)"
+    assert text.next.startswith("Record a longer drive (a slalom on a flat road)")
     assert "Nothing is certain." in text.explanation
     assert "fits" not in text.explanation
     assert 'class="verdict likely"' in report_page(diagnosis, ABOUT)
@@ -348,7 +358,7 @@ def test_values_are_rounded_by_their_deviation(value, std, text):
     ("mount.turn.z", "turn, yaw"),
     ("gyro.scale.1", "gyroscope gain error, sensor y"),
     ("accel.cross_axis.1", "accelerometer cross axis, z in x"),
-    ("speed.delay_s", "speed age"),
+    ("speed.delay_s", "speed delay"),
     ("chassis.steering_ratio", "steering ratio"),
     ("_speed.doubled", "speed doubled"),
 ])  # fmt: skip
@@ -376,7 +386,9 @@ def test_a_cause_that_nobody_has_named_yet_has_a_title():
 def test_a_sure_cause_beside_an_ambiguous_one_is_reported():
     found = made.found(verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),))
     both = words.verdict(found)
-    assert both.headline == "Ambiguous: accelerometer bias or accelerometer cross-axis"
+    assert both.headline == (
+        "Ambiguous: accelerometer bias (left: 25.2 mg) or accelerometer cross-axis"
+    )
     assert "Certain in any case: body roll" in both.explanation
     text = page(found).text
     assert text.index("Certain body roll") < text.index("What it may be accelerometer bias")
@@ -402,7 +414,7 @@ def test_a_wrong_sign_is_the_headline():
     wrong = Structure("gyro_z", Kind.GOES_AGAINST, 1.0, "a sign is wrong")
     said = words.verdict(replace(made.nothing(), verdict="unknown", structure=(wrong,)))
     assert said.headline == "Unknown: opposite sign to the model's prediction in gyroscope up"
-    assert "imucald check" in said.explanation
+    assert said.next.startswith("Run 'imucald check' on these logs")
 
 
 def test_a_gain_that_is_not_known_is_reported_so():
@@ -538,28 +550,102 @@ def test_the_clearest_segment_is_where_the_residual_falls():
 def test_a_fault_alone_does_not_promise_a_better_prediction():
     read = made.found(gain=Gain(0.0, (0.0, 0.0), (), was_fitted=False))
     text = page(read).text
-    assert "use it" not in text
+    assert "predicts better" not in text
     assert "read directly" in text
+    assert words.verdict(read).next == (
+        "Use the extended model file (--write-model FILE): its new values were measured at stops "
+        "or read from samples, so the fit does not change."
+    )
     assert "nats" not in text
 
 
 def test_beside_a_loose_sensor_no_file_is_recommended():
     loose = Structure("accel_y", Kind.TOO_MUCH, 3.0, "1 m/s^2 is left")
     d = made.found(structure=(loose,), recommended=False)
-    explanation = words.verdict(d).explanation
-    assert "the model does not explain accelerometer left" in explanation
-    assert "use it" not in page(d).text
+    said = words.verdict(d).next
+    assert "Do not use the extended model file" in said
+    assert "the model does not explain accelerometer left" in said
 
 
 def test_a_dozen_that_cannot_be_distinguished_have_a_short_headline_and_rivals_their_titles():
     many = tuple(titles.CAUSES)[:12]
     headline = words.verdict(replace(made.ambiguous(), look_alikes=(many,))).headline
     assert headline == (
-        "Ambiguous: accelerometer bias, accelerometer scale, accelerometer cross-axis or 9 others"
+        "Ambiguous: accelerometer bias (left: 25.2 mg), accelerometer scale, accelerometer "
+        "cross-axis or 9 others"
     )
     assert words.against(replace(made.BIAS, against=("+- 2",)), made.ambiguous()) == [
         "± 2", "accelerometer cross-axis and mount rotation fit as well",
     ]  # fmt: skip
+
+
+def cause(name, **parameters):
+    return replace(made.BIAS, name=name, parameters=parameters, along_sensor={})
+
+
+def test_a_headline_has_the_size_of_each_cause():
+    zero = {f"gyro.bias.{a}": Estimated(radians(x), 1e-4, "rad/s") for a, x in
+            (("x", 0.01), ("y", -0.02), ("z", 1.0))}  # fmt: skip
+    along = {f"gyro.bias.{i}": p for i, p in enumerate(zero.values())}
+    drift = {"speed.delay_rate": Estimated(203e-6, 9e-6, "1"),
+             "speed.delay_s": Estimated(0.3, 0.001, "s")}  # fmt: skip
+    shift = {"mount.shifts.roll_deg": Estimated(4.2, 0.4, "deg"),
+             "mount.shifts.yaw_deg": Estimated(5.04, 0.36, "deg"),
+             "mount.shifts.t_s": Estimated(225.0, math.nan, "s")}  # fmt: skip
+    said = [
+        words.with_size(one)
+        for one in (
+            replace(made.BIAS, name="gyro_bias", parameters=zero, along_sensor=along),
+            cause("delay_rate", **drift),
+            cause("signal_delay", **{"steering.delay_s": Estimated(0.12, 0.01, "s", 0.01)}),
+            cause("mount_shift", **shift),
+            cause(
+                "saturation",
+                **{
+                    "_accel.clipped": Estimated(0.12, 0.0, "1"),
+                    "accel.full_scale": Estimated(20.0, 0.0, "m/s^2", 39.2),
+                },
+            ),
+            cause("saturation"),
+        )
+    ]
+    assert said == [
+        "gyroscope bias (up: 1.00 deg/s)",
+        "clocks with different rates (203 ppm)",
+        "signal delay (steering delay: 120 instead of 10.0 ms)",
+        "mount shift (yaw: 5.04 deg)",
+        "saturation (accelerometer clipped: 12.0 %)",
+        "saturation",
+    ]
+
+
+def test_a_number_that_no_key_holds_is_not_shown_as_one():
+    (row,) = words.parameter_rows(cause("saturation", **{
+        "_accel.clipped": Estimated(0.12, 0.0, "1")}))  # fmt: skip
+    assert row == ("accelerometer clipped", "12.00 %", "-", "", "12.00 %")
+
+
+def test_a_cause_that_no_key_holds_is_corrected_at_its_source():
+    clipped = replace(cause("saturation"), signals=("accel",))
+    said = words.verdict(made.found(causes=(clipped,), model_after=made.BEFORE))
+    assert said.next == (
+        "Correct the cause in the sensor or its sender (accelerometer): the model file has no key "
+        "for what was found."
+    )
+
+
+def test_a_search_that_was_ended_early_is_run_again_first():
+    assert "--time-limit 300" in words.verdict(made.found(complete=False)).next
+
+
+def test_a_loose_sensor_is_fastened():
+    turned = made.found(causes=(replace(made.ROLL, name="mount_shift"),))
+    assert words.verdict(turned).next == (
+        "Fasten the sensor, and record a new drive. Use the extended model file (--write-model "
+        "FILE) for these drives only: the sensor was turned during them."
+    )
+    assert "If the sensor is loose, fasten it" in words.verdict(made.unknown()).next
+    assert words.verdict(made.nothing()).next.startswith("Nothing to do")
 
 
 def test_a_time_of_the_drive_is_in_seconds_and_a_pure_number_has_no_unit():

@@ -72,7 +72,7 @@ def test_what_is_not_learnt_from_is_named_with_signal_cause_and_time() -> None:
     named = {(x["signal"], x["cause"]): x["seconds"] for x in details["not_learnt_from"]}
     assert 25.0 < named["speed", "no valid samples"] < 35.0
     assert named["speed", "stuck"] > 10.0
-    assert f"speed: stuck for {named['speed', 'stuck']:.0f} s" in left_out_words(details)
+    assert f"{named['speed', 'stuck']:.0f} s (speed stuck)" in left_out_words(details)
 
 
 @pytest.mark.slow

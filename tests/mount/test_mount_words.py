@@ -157,5 +157,5 @@ def test_data_that_were_not_used_are_named_in_words_once():
               ("yaw_rate", "stuck", 12.0), ("accel", "saturated", 0.2)]  # fmt: skip
     left = [{"signal": s, "cause": c, "seconds": t} for s, c, t in causes]
     assert left_out_words({"not_learnt_from": left}) == (
-        "speed: jumps for 235 s, speed: no valid sample for 4 s, yaw rate: stuck for 12 s"
+        "235 s (speed jumps), 4 s (no valid speed sample), 12 s (yaw rate stuck)"
     )

@@ -17,7 +17,8 @@ class CorrectionResult:
     """The correction of force and rate from sensor to vehicle axes, at the end of a drive.
 
     matrix, offset_mps2: (3, 3) and (3,); the corrected force is matrix @ f_sensor - offset_mps2.
-    gyro_matrix, gyro_offset_rad_s: the same for the angular rate.
+    gyro_matrix, gyro_offset_rad_s: the same for the angular rate. The offset is 0: a zero error of
+    the gyroscope stays in the corrected rate.
     cross_talk_std_deg: standard deviations of the remaining cross-talk xy, yx, zx, zy. For
     example, xy is the part of a lateral force that the forward axis shows.
     zero_std_mps2: (2,), standard deviations of the horizontal force on level ground.

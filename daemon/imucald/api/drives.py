@@ -26,11 +26,14 @@ class DriveSet:
     order of the drives is the order of the logs in the call.
 
     notes: texts about drives that overlap in time or are given twice, and about mounts that differ
-    too much from one drive to the next.
+    too much from one drive to the next. agreements: texts about mounts that agree, with the 95 %
+    interval of their difference. failed: name and reason of each log that could not be read.
     """
 
     drives: tuple[DriveResult, ...]
     notes: tuple[str, ...]
+    agreements: tuple[str, ...] = ()
+    failed: tuple[tuple[str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.drives)
@@ -53,12 +56,23 @@ class DriveSet:
     def to_dict(self) -> dict[str, Any]:
         """Return the output of `imucald replay --json` for several drives."""
         drives = [{"log": log_names(drive), **drive.to_dict()} for drive in self.drives]
-        return {"drives": drives, "notes": list(self.notes)}
+        return {
+            "drives": drives,
+            "notes": list(self.notes),
+            "agreements": list(self.agreements),
+            "failed": [{"log": log, "reason": reason} for log, reason in self.failed],
+        }
 
     def __repr__(self) -> str:
         states = ", ".join(drive.state for drive in self.drives)
-        return f"{counted(len(self.drives), 'drive')}: {states}"[:96] + (
-            f"\n  {counted(len(self.notes), 'note')}"
+        return (
+            f"{counted(len(self.drives), 'drive')}: {states}"[:96]
+            + (f"\n  {counted(len(self.notes), 'note')}")
+            + (
+                f"\n  not read: {', '.join(log for log, _ in self.failed)}"[:96]
+                if self.failed
+                else ""
+            )
         )
 
     def _repr_html_(self) -> str:
@@ -68,7 +82,8 @@ class DriveSet:
             angles = [angle_text(row[f"{a}_deg"], row[f"std_{a}_deg"]) for a in ANGLES]
             rows.append([row["log"], f"{row['duration_s']:.1f}", row["state"], *angles])
         table = html_table(("log", "s", "state", *ANGLES), rows)
-        notes = [[note] for note in self.notes]
+        failed = [f"not read: {reason}" for _, reason in self.failed]
+        notes = [[note] for note in (*failed, *self.notes, *self.agreements)]
         return f"{table}<p>{CONVENTION}</p>{html_table(('notes',), notes)}"
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import BinaryIO, Literal, overload
 
-from imucald.api.between_drives import notes_between
+from imucald.api.between_drives import between_drives
 from imucald.api.blas_threads import on_one_thread
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult
@@ -78,7 +78,8 @@ def replay(
     the total bytes (or None). strict: the first bad line raises LogError instead of being counted.
 
     Raises ConfigError if the configuration cannot be used. Raises LogError for a log that cannot be
-    read or contains no CAN frame.
+    read or contains no CAN frame. Of several drives, such a log is in `DriveSet.failed`, and
+    LogError is raised only with `strict` or if no log could be read.
     """
     config = Configuration.of(config)
     if not isinstance(log, list | tuple):
@@ -87,8 +88,20 @@ def replay(
         raise LogError("there is no log to replay")
     if joined:
         return _replayed(config, log, signals, progress, strict)
-    drives = tuple(_replayed(config, [one], signals, progress, strict) for one in log)
-    return DriveSet(drives, notes_between(drives))
+    drives: list[DriveResult] = []
+    failed: list[tuple[str, str]] = []
+    for one in log:
+        try:
+            drives.append(_replayed(config, [one], signals, progress, strict))
+        except LogError as error:
+            if strict:
+                raise
+            is_name = isinstance(one, str | os.PathLike)
+            name = one if is_name else getattr(one, "name", "<open file>")
+            failed.append((str(name), str(error)))
+    if not drives:
+        raise LogError("; ".join(reason for _, reason in failed))
+    return DriveSet(tuple(drives), *between_drives(drives), tuple(failed))
 
 
 @on_one_thread

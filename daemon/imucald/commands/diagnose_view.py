@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from imucald.commands.terminal import plain_console, plain_where_needed, screen_console
 from imucald.core.text import counted
-from imucald.report import numbers, titles
+from imucald.report import titles
 from imucald.report import wording as words
-from imucald.report.model_changes import shown_changes, value_text
+from imucald.report.model_changes import is_of_cause, shown_changes, value_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,6 +59,7 @@ def print_diagnosis(diagnosis: Diagnosis, has_file: bool = True) -> None:
     verdict = words.verdict(diagnosis)
     console.print(Text(verdict.headline, style=COLOURS[diagnosis.verdict]))
     console.print(Text(verdict.explanation))
+    console.print(Text.assemble(("Next: ", "bold"), verdict.next))
     for cause in (*diagnosis.causes, *diagnosis.likely):
         _print_cause(console, cause, diagnosis)
     for other in words.other_suspects(diagnosis):
@@ -69,8 +70,9 @@ def print_diagnosis(diagnosis: Diagnosis, has_file: bool = True) -> None:
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
-    where = "model file" if has_file else "estimated for this diagnosis"
     for change in shown_changes(diagnosis):
+        source = "found" if is_of_cause(change, diagnosis) else "estimated for this diagnosis"
+        where = "model file" if has_file else source
         before, after = value_text(change.before), value_text(change.after)
         console.print(f"{where}, {change.key}: {before} -> {after}")
     if diagnosis.causes:
@@ -98,7 +100,8 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
     for row in card.rows:
         in_file = f"{row.key}: {row.in_file}" if row.key else ""
         table.add_row(f"  {row.title}", row.value, row.stated, in_file)
-    console.print(table)
+    if card.rows:
+        console.print(table)
     seen = [f"seen in {words.in_series(card.signals)}"] if card.signals else []
     for text in (
         *seen,
@@ -123,11 +126,11 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     console.print()
     console.print("residuals that no cause explains:")
     table = _table()
-    for title in ("signal", "what", "size", "where"):
-        table.add_column(title, overflow="fold", justify="right" if title == "size" else "left")
+    for title in ("signal", "what", "what is seen"):
+        table.add_column(title, overflow="fold")
     for s in diagnosis.structure[:SHOWN_STRUCTURE]:
         signal = titles.signal_title(s.signal)
-        table.add_row(f"  {signal}", s.kind, numbers.number(s.size, 2), words.structure_text(s))
+        table.add_row(f"  {signal}", s.kind, words.structure_text(s))
     console.print(table)
 
 
@@ -142,6 +145,7 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     for name, *cells, _, _ in rows:
         table.add_row(name, *cells)
     console.print(table)
+    console.print(words.NOTHING_MEANS)
     for row in filter(lambda row: row.left, rows):
         console.print(f"left in {row.name}: {row.left}")
 

@@ -42,7 +42,10 @@ def status(options: argparse.Namespace) -> int:
     holder = holder_of(store)
     if holder is not None:
         age = time.time() - holder.beat
-        console.print(f"a run is active: process {holder.pid} on {holder.host}, {age:.0f} s ago")
+        console.print(
+            f"a run is active: process {holder.pid} on {holder.host}, last sign of life {age:.0f} "
+            "s ago"
+        )
     drives, failures = tables["drives"], tables["failures"]
     sources = tables["sources"]
     read = sum(sources.column("bytes").to_pylist())

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `replay`."""
     parser.epilog = (
-        "Several logs are several drives, each replayed on its own. Logs that overlap in time and "
-        "mounts that differ from drive to drive are reported. With --joined the logs are pieces of "
+        "Several logs are several drives of one vehicle, each replayed on its own. Logs that "
+        "overlap in time are reported, and whether the mounts of successive drives agree. For "
+        "several vehicles use 'imucald fleet'. With --joined the logs are pieces of "
         "one recording. A frame that is in two pieces counts twice, and such frames are reported. "
         "Exit status: 0 done (with any state of the mount), 1 a log could not be read or has no "
         "frame that can be used.\n\n"
@@ -134,7 +135,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
-    from imucald.api.between_drives import notes_between
+    from imucald.api.between_drives import between_drives
     from imucald.api.drives import DriveSet
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
@@ -142,7 +143,8 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     from imucald.core.errors import LogError
     from imucald.runtime.summary import as_json
 
-    drives, written, failed, folders = [], list[Path](), False, list[str]()
+    drives, written, folders = [], list[Path](), list[str]()
+    failed = list[tuple[str, str]]()
     explained = list[str]()
     places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
     for log, (path, folder) in zip(logs, places, strict=True):
@@ -159,20 +161,21 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
             if options.strict:
                 raise
             print(f"imucald: {error}", file=sys.stderr)
-            failed = True
+            failed.append((log, str(error)))
             continue
-        failed = failed or is_unused(drive)
         drives.append(drive)
         folders.append("" if folder is None else folder.name)
         written += files
-    found = DriveSet(tuple(drives), notes_between(drives))
+    found = DriveSet(tuple(drives), *between_drives(drives), tuple(failed))
+    broken = [f"not read: {reason}" for _, reason in failed]
     if options.report is not None and drives:
         from imucald.commands.replay_report import write_index
 
         file = write_index(
             options.report,
             list(zip(folders, found.rows(), strict=True)),
-            [*explained, *found.notes],
+            [*broken, *explained, *found.notes],
+            found.agreements,
         )
         if not options.quiet:
             print(f"imucald: written: {file}", file=sys.stderr)
@@ -181,9 +184,9 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     if options.json != STANDARD and not options.quiet:
         from imucald.commands.terminal import print_drives
 
-        print_drives(found.rows(), [*explained, *found.notes])
+        print_drives(found.rows(), [*explained, *found.notes, *found.agreements])
         _print_written(written)
-    return 1 if failed else 0
+    return 1 if failed or any(map(is_unused, drives)) else 0
 
 
 def _replayed(

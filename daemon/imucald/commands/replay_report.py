@@ -46,16 +46,20 @@ class ReplayReport:
 
 
 def write_index(
-    folder: Path, drives: Sequence[tuple[str, Mapping[str, Any]]], notes: Sequence[str]
+    folder: Path,
+    drives: Sequence[tuple[str, Mapping[str, Any]]],
+    notes: Sequence[str],
+    agreements: Sequence[str],
 ) -> Path:
     """Write an index page with a row and a link for each drive; return its path.
 
     drives: for each drive, the name of its folder in `folder` and its row of `DriveSet.rows`.
-    notes: notes between drives. Raises ImucaldError if the page cannot be written.
+    notes, agreements: see `DriveSet`. Raises ImucaldError if the page cannot be written.
     """
     rows = [
         (name, row, [angle_text(row[f"{a}_deg"], row[f"std_{a}_deg"]) for a in ANGLES])
         for name, row in drives
     ]
     page = environment().get_template("drives.html")
-    return write_page(folder, page.render(rows=rows, notes=notes, convention=CONVENTION))
+    texts = {"notes": notes, "agreements": agreements, "convention": CONVENTION}
+    return write_page(folder, page.render(rows=rows, **texts))

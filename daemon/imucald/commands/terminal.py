@@ -158,7 +158,7 @@ def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None
         rejected = ", ".join(f"{reason} {n}" for reason, n in frames["rejected"].items())
         console.print(f"rejected: {rejected}")
     if left_out := left_out_words(result.get("details", {})):
-        console.print(f"not used for the mount: {left_out}")
+        console.print(f"not used for the mount, of {result['duration_s']:.0f} s: {left_out}")
     for text in _noticed(result):
         console.print(text, style="bold red")
     for text in _beside(result):

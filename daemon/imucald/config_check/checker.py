@@ -24,6 +24,7 @@ from imucald.config_check.health import (
     health_findings,
     jumping_finding,
     left_out_finding,
+    used_s,
 )
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
@@ -202,7 +203,7 @@ class Check:
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
-        found += left_out_finding(self._health.left_out, self.duration)
+        found += left_out_finding(self._health.left_out, self.duration, bool(wrong))
         return [*found, *not_judged(rows, found)]
 
     @property
@@ -223,6 +224,7 @@ class Check:
             "usable": not any(f.level == "error" for f in findings),
             "warnings": sum(f.level == "warning" for f in findings),
             "duration_s": round(self.duration, 3),
+            "used_for_mount_s": round(used_s(self._health.left_out, self.duration), 3),
             "messages": [message_row(self.loaded, probe) for probe in self.probes],
             "quantities": [quantity_row(source) for source in sources(self.loaded, self.probes)],
             "findings": [finding.as_dict() for finding in findings],

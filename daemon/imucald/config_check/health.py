@@ -23,10 +23,12 @@ from imucald.mount.signal_blocks import SignalBlockMaker
 from imucald.runtime.pipeline import Pipeline
 
 MOST_SHARE = 0.5
-"""A signal that is ignored for more than this share of a log is not used as evidence."""
+"""A signal that is ignored for more than this share of a log is not used as evidence. If more than
+this share of a log cannot be used, this is a warning."""
 _WORDS = {
     SignalFault.STUCK: "repeats one value",
-    SignalFault.SATURATED: "stays at the end of its range (is a range set too small?)",
+    SignalFault.SATURATED: "stays at the end of its range (is the range in the sensor or in the "
+    "database too small?)",
     SignalFault.IMPLAUSIBLE: "has values that no road vehicle reaches (did its unit change?)",
 }
 
@@ -125,9 +127,18 @@ def jumping_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> I
             yield Finding("error", configured_name(one["signal"]), text)
 
 
-def left_out_finding(left_out: Sequence[Mapping[str, Any]], duration: float) -> Iterator[Finding]:
-    """Report the data that the calibration ignores. duration: duration of the log [s]."""
+def left_out_finding(
+    left_out: Sequence[Mapping[str, Any]], duration: float, is_explained: bool
+) -> Iterator[Finding]:
+    """Report the time that the calibration ignores. duration: duration of the log [s].
+    is_explained: an error says why, so most of the log is not a warning of its own."""
     if words := left_out_words({"not_learnt_from": left_out}):
-        yield Finding(
-            "note", "log", f"the log has {duration:.0f} s; the calibration does not use: {words}"
-        )
+        is_most = duration - used_s(left_out, duration) > MOST_SHARE * duration
+        text = f"of {duration:.0f} s, {words} could not be used for the mount"
+        yield Finding("warning" if is_most and not is_explained else "note", "log", text)
+
+
+def used_s(left_out: Sequence[Mapping[str, Any]], duration: float) -> float:
+    """Return the time from which the mount could be learnt [s]. Each moment that could not be used
+    has one cause, so the times of the causes add up."""
+    return max(duration - sum(float(one["seconds"]) for one in left_out), 0.0)

@@ -77,7 +77,10 @@ def _one(key: str, unit: str, tolerance: float, source: str, low: float, high: f
 
 
 _IMU = ("accel", "gyro")
-_TURN = "the axis of turning of a measured van lies 3 to 4 deg from that of its INS"
+_TURN = (
+    "one measured van: the axis about which its gyroscope turns is 3 to 4 deg from the vertical of"
+    " its INS"
+)
 _TAPE = "a tape measure against an unknown centre of gravity"
 _DELAY = "one cycle of 50 Hz and one cycle of a task: 30 ms"
 _TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
@@ -94,8 +97,9 @@ _ROWS: tuple[Parameter, ...] = (
            "012345"),
     *_axes("accel.bias_temperature", "m/s^2/K", 0.004, f"0.4 mg/K, {MEMS}", 0.05,
            ("accel", "temperature")),
-    *_axes("gyro.bias", "rad/s", 0.05 * DEG, f"0.05 (deg/s)/K over a kelvin, {MEMS}; stops of one"
-           " measured drive differ by 0.03 deg/s", 10.0 * DEG, _IMU),
+    *_axes("gyro.bias", "rad/s", 0.05 * DEG, f"0.05 (deg/s)/K times 1 K of warming,"
+           f" {MEMS}; between the stops of one measured drive the zero changes by 0.03 deg/s",
+           10.0 * DEG, _IMU),
     *_axes("gyro.scale", "1", 0.01, f"sensitivity over temperature, {MEMS}", 0.18, _IMU, "012"),
     *_axes("gyro.cross_axis", "1", 0.003, "axes of one die are orthogonal to 0.2 deg; the 2 % of"
            " data sheets include the turn of the package, which belongs to the mount", 0.10,

@@ -104,12 +104,13 @@ def unexplained(left: Sequence[Structure]) -> set[str]:
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
-    """True if a found gain may come from a low-pass filter that also causes a found delay.
+    """True if one low-pass filter may cause both a found gain error and a found delay.
 
-    At frequency w, a filter with the delay x leaves 1/sqrt(1 + (w x)^2) of the amplitude, so about
-    (w x)^2/2 is missing. w^2 is the ratio of two energies: of the delay's column and of the gain's
-    column. Both columns include all parameters that change with the parameter. The energies are
-    taken from the equations in which the gain is visible."""
+    delays: found delays by key [s]. A filter with the delay x reduces an amplitude at the angular
+    frequency w to 1/sqrt(1 + (w x)^2), that is by about (w x)^2/2. A gain error up to this size is
+    therefore doubtful. w is estimated from the data: a delay's effect on a signal is w times as
+    large as a gain's effect, so w^2 is the ratio of the energies of the two columns. Only the
+    equations that show the gain are used."""
     h = trial.hypothesis
     if table is None or not delays or not all(".scale" in key for key in h.keys):
         return False

@@ -217,15 +217,15 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
         )
         for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
     }
-    parameters["mount.shifts.t_s"] = Estimated(
-        shift.start_s, 0.5 * (shift.high_s - shift.low_s), "s"
-    )
+    # The text has the interval, which does not lie evenly about this time.
+    parameters["mount.shifts.t_s"] = Estimated(shift.start_s, math.nan, "s")
     name = "mount_shift" if shift.kind == "step" else "mount_creep"
     text = (
-        f"The sensor is turned between {shift.low_s:.0f} and {shift.high_s:.0f} s."
+        f"The sensor was turned between {shift.low_s:.0f} and {shift.high_s:.0f} s."
         if shift.kind == "step"
         else "The sensor turns slowly during the whole drive."
     )
+    text += " The angles are turns about the vehicle's axes."
     sigma = float(np.max(np.abs(shift.turn) / shift.se))
     return FoundCause(
         name, parameters, signals_of(table, KEYS),

@@ -138,7 +138,7 @@ class FleetRun:
                 "machine; install the same version there, then run the same command to "
                 "continue"
             )
-        outcome = self._that_fits(task, outcome)
+        outcome = self._fitting_or_bug(task, outcome)
         self._attempts[task.source] += 1
         attempt = self._attempts[task.source]
         cost = msgspec.structs.asdict(outcome.cost)
@@ -162,7 +162,7 @@ class FleetRun:
         else:
             self._take_failure(task, outcome, attempt)
 
-    def _that_fits(self, task: Task, outcome: Outcome) -> Outcome:
+    def _fitting_or_bug(self, task: Task, outcome: Outcome) -> Outcome:
         """Return the outcome. If its rows do not fit a table, return an outcome of the kind `bug`
         instead, so that the rows of other logs can be written."""
         if outcome.drive is None:

@@ -1,4 +1,7 @@
-"""Taps. A tap is the set of values that one message or raw expression contains for one channel."""
+"""Taps. A tap is the set of values that one message or raw expression contains for one channel.
+
+A channel is a measured quantity (`core.samples`: "accel", "speed", ...), not a CAN bus.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,7 @@ class Status(Struct, frozen=True):
 
 
 class Tap(Struct, frozen=True):
-    """The values of a route for one channel.
+    """The values of a route for one channel (quantity).
 
     slots: indices in the channel's values, in the order of components. complete: whether the tap
     contains all values of the channel. third: assumed third value of a two-axis sensor; None if it

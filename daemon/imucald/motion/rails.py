@@ -248,12 +248,18 @@ class Rail:
     when driving no longer reaches it. A stay is counted only when it has ended. A stuck axis is not
     a rail, and its stay counts as one arrival.
 
-    sign: 1 for the upper side, -1 for the lower side, whose values are negated. least: surprise
-    from which the value is a rail [nats]. rows, depth, recent, hops: as in `AxisRails`, of this
-    side. surprise: -log of the probability of the data without a rail [nats]. value: value to which
-    the surprise belongs. rail: value of the last rail; -inf if there was none. piles: evidence of
-    the watched values that were reached often, by value. found: True if the axis is on the rail.
-    changed: True if the surprise must be computed again.
+    A *surprise* is -log of the probability that the observed peaks and stays come from an axis
+    without a rail [nats]. A large surprise therefore means a rail.
+
+    - sign: 1 for the upper side, -1 for the lower side. All values of the lower side are negated.
+    - least: smallest surprise of a rail [nats].
+    - rows, depth, recent, hops: as in `AxisRails`, of this side.
+    - surprise: surprise of the most likely rail [nats].
+    - value: value of this rail; inf if there is no evidence.
+    - rail: value of the last rail that was found; -inf if there was none.
+    - piles: evidence of each watched value that was reached often, by value.
+    - found: True while the axis has a rail.
+    - changed: True if the surprise must be computed again.
     """
 
     def __init__(
@@ -470,7 +476,9 @@ class AxisRails:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Values of the last rails, the upper and the lower; infinite if there was none."""
+        """Upper and lower end of the range, as the axis shows them (the lower end is not negated).
+        Each is the value of the last rail that was found; -inf (upper) or inf (lower) if there was
+        none."""
         high, low = self.sides
         return high.rail, -low.rail
 

@@ -262,12 +262,13 @@ def doubt_words(waiting_for: Mapping[str, str]) -> str:
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
-CAUSES_LEFT_OUT = {"no valid samples": "no valid sample", "speed_jump": "jumps"}
+NO_SAMPLES = "no valid samples"
+CAUSES_LEFT_OUT = {"speed_jump": "jumps"}
 
 
 def left_out_words(details: Mapping[str, Any]) -> str:
-    """Return in words the data that were not used, by signal, cause and time. Data of less than a
-    second are left out."""
+    """Return in words the time that was not used, by signal and cause: `869 s (no valid
+    accelerometer sample)`. Times of less than a second are left out."""
     parts = []
     for one in details.get("not_learnt_from", ()):
         if one["seconds"] >= LEAST_LEFT_OUT_S:
@@ -275,7 +276,8 @@ def left_out_words(details: Mapping[str, Any]) -> str:
             signal = SENSOR_NAMES.get(signal, signal.replace("_", " "))
             cause = str(one["cause"])
             words = CAUSES_LEFT_OUT.get(cause, cause.replace("_", " "))
-            parts.append(f"{signal}: {words} for {one['seconds']:.0f} s")
+            why = f"no valid {signal} sample" if cause == NO_SAMPLES else f"{signal} {words}"
+            parts.append(f"{one['seconds']:.0f} s ({why})")
     return ", ".join(parts)
 
 

@@ -52,6 +52,13 @@ def shown_changes(diagnosis: Diagnosis) -> list[Change]:
     ]
 
 
+def is_of_cause(change: Change, diagnosis: Diagnosis) -> bool:
+    """Return whether a found cause has this key. The other keys were estimated because nothing
+    states them."""
+    keys = (key for cause in diagnosis.causes for key in cause.in_file)
+    return any(key == change.key or key.startswith(f"{change.key}.") for key in keys)
+
+
 def _is_same(before: Any, after: Any) -> bool:
     if isinstance(before, float) and isinstance(after, float):
         return abs(before - after) < SAME or before == after

@@ -69,15 +69,29 @@ def _places(half: float) -> int | None:
 def for_people(key: str, p: Estimated) -> tuple[str, str]:
     """Return two texts in a familiar unit: the estimated value with its 95 % interval, and the
     value in the model file."""
-    factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
-    if key in PLAIN_KEYS:
-        factor, unit = 1.0, ""
-    elif key in TIMES or (p.unit == "s" and abs(p.value) >= LONG_S):
-        factor, unit = 1.0, "s"
-    elif key in RATES:
-        factor, unit = 1e6, "ppm"
+    factor, unit = _familiar(key, p)
     shown = f"{with_spread(factor * p.value, factor * p.std)} {unit}".strip()
     return shown, f"{number(factor * p.stated)} {unit}".strip()
+
+
+def size_text(key: str, p: Estimated) -> str:
+    """Return the value in a familiar unit for a headline. A value of the model file that is not 0
+    follows: `103 instead of 10.0 ms`."""
+    factor, unit = _familiar(key, p)
+    is_stated = bool(p.stated) and math.isfinite(p.stated)
+    stated = f" instead of {number(factor * p.stated)}" if is_stated else ""
+    return f"{number(factor * p.value)}{stated} {unit}".strip()
+
+
+def _familiar(key: str, p: Estimated) -> tuple[float, str]:
+    """Return the factor to a familiar unit, and the name of this unit."""
+    if key in PLAIN_KEYS:
+        return 1.0, ""
+    if key in TIMES or (p.unit == "s" and abs(p.value) >= LONG_S):
+        return 1.0, "s"
+    if key in RATES:
+        return 1e6, "ppm"
+    return HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
 
 
 def in_file(p: Estimated) -> str:

@@ -72,6 +72,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
             for group_titles, group in [*words.look_alike_groups(diagnosis).items()][:MAX_ROWS]
         ],
         signals=_signal_rows(diagnosis),
+        nothing_means=words.NOTHING_MEANS,
         pictures=_pictures(diagnosis),
         unpictured=max(0, len(diagnosis.pictures) - MAX_PICTURED),
         candidates=words.not_named(diagnosis)[:MAX_ROWS],
@@ -162,7 +163,6 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         ))  # fmt: skip
     if diagnosis.causes:
         figures.append(("Extended model file", *words.advice(diagnosis)))
-    figures.append(("Data", duration(diagnosis.duration_s), "diagnosed"))
     return figures
 
 

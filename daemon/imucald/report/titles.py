@@ -40,11 +40,11 @@ AXES: Mapping[str, Mapping[str, str]] = {
                    "5": "y in z"},
 }  # fmt: skip
 QUANTITIES: Mapping[str, str] = {
-    "lever_arm_m": "lever arm", "delay_s": "age", "delay_rate": "growth of age",
+    "lever_arm_m": "lever arm", "delay_s": "delay", "delay_rate": "growth of delay",
     "scale": "gain error", "offset": "offset", "turn": "turn", "bias": "zero error",
-    "full_scale": "rail", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
+    "full_scale": "range", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
     "clock_drift_ppm": "clock error", "steering_ratio": "steering ratio", "t_s": "time",
-    "shifts": "shift", "lowpass_hz": "cut-off",
+    "shifts": "shift", "lowpass_hz": "cut-off", "clipped": "clipped",
 }  # fmt: skip
 
 

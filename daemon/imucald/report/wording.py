@@ -21,9 +21,21 @@ from imucald.diagnosis.result import (
     Structure,
 )
 from imucald.report.model_changes import model_changes
-from imucald.report.numbers import for_people, in_file, number, typographic, unit_text
+from imucald.report.numbers import (
+    TIMES,
+    for_people,
+    in_file,
+    number,
+    size_text,
+    typographic,
+    unit_text,
+)
 from imucald.report.titles import cause_title, key_title, signal_title
 
+NOTHING_MEANS = (
+    "Rows with 'nothing' may exceed the floor by what the tolerances of a correct model file allow."
+)
+UNCHANGED = "unchanged"
 MANY = 4
 """Largest number of names in a sentence. Of a longer list, the first names are shown."""
 
@@ -55,6 +67,8 @@ class Words:
 
     headline: str
     explanation: str
+    next: str
+    """What the user should do."""
 
 
 class Card(NamedTuple):
@@ -158,25 +172,33 @@ def look_alike_groups(diagnosis: Diagnosis) -> dict[tuple[str, ...], tuple[str, 
 
 def verdict(diagnosis: Diagnosis) -> Words:
     """Return the verdict of the diagnosis and its certainty."""
-    titles = [cause_title(cause.name) for cause in diagnosis.causes]
+    headline, explanation = _found_words(diagnosis)
+    return Words(headline, explanation, next_step(diagnosis))
+
+
+def _found_words(diagnosis: Diagnosis) -> tuple[str, str]:
+    """Return the headline and the explanation of the verdict."""
+    titles = [with_size(cause) for cause in diagnosis.causes]
     tail = _likely(diagnosis) + _incomplete(diagnosis)
-    if diagnosis.causes:
-        tail = f" The extended model file {': '.join(advice(diagnosis))}." + tail
     if diagnosis.verdict == "found":
         count = f"{_counted(len(titles))} certain."
-        return Words(f"Found: {in_series(titles)}", count + _left(diagnosis) + tail)
+        return f"Found: {in_series(titles)}", count + _left(diagnosis) + tail
     if diagnosis.verdict == "ambiguous":
-        groups = [few_of(of_group, "or") for of_group in look_alike_groups(diagnosis)]
+        sizes = {cause_title(c.name): with_size(c) for c in diagnosis.causes}
+        groups = [
+            few_of([sizes.get(title, title) for title in of_group], "or")
+            for of_group in look_alike_groups(diagnosis)
+        ]
         confused = {name for group in diagnosis.look_alikes for name in group}
         sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
         text = "Something is wrong, but these drives do not show which of these causes it is."
         if sure:
             text += f" Certain in any case: {in_series(sure)}."
-        return Words(f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail)
+        return f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail
     if diagnosis.verdict == "unknown":
         return _unknown(diagnosis, titles, tail)
     if diagnosis.likely:
-        headline = f"Likely: {in_series([cause_title(c.name) for c in diagnosis.likely])}"
+        headline = f"Likely: {in_series([with_size(c) for c in diagnosis.likely])}"
         text = (
             "Nothing is certain. Likely causes pass a weaker test and are not written into the "
             "model file."
@@ -193,17 +215,17 @@ def verdict(diagnosis: Diagnosis) -> Words:
             f" {undecided} of the causes cannot be decided with these drives; longer drives "
             "may show them."
         )
-    return Words(headline, text + _incomplete(diagnosis))
+    return headline, text + _incomplete(diagnosis)
 
 
-def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
+def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> tuple[str, str]:
     where = _where(diagnosis)
     kinds = {s.kind for s in diagnosis.structure}
     if Kind.GOES_AGAINST in kinds:
-        return Words(
+        return (
             f"Unknown: opposite sign to the model's prediction in {where}",
-            "A sign in the configuration or the mount in the model file is wrong: 'imucald "
-            "check' looks for wrong signs. No parameter was fitted to these signals.",
+            "A sign in the configuration or the mount in the model file is wrong. No parameter "
+            "was fitted to these signals.",
         )
     text = "The measured signals differ from the model in a way that no known cause explains."
     if Kind.NOT_PLAUSIBLE in kinds:
@@ -213,30 +235,110 @@ def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
     if titles:
         headline = f"Found: {in_series(titles)}. {headline}"
         text += f" These causes are certain nevertheless: {in_series(titles)}."
-    return Words(headline, text + tail)
+    return headline, text + tail
+
+
+def with_size(cause: FoundCause) -> str:
+    """Return the title of a cause with its size: `gyroscope bias (up: 1.00 deg/s)`. The size is the
+    parameter that is furthest from the model file, in standard deviations."""
+    title = cause_title(cause.name)
+    known = BY_NAME.get(cause.name)
+    own = {k: p for k, p in (cause.along_vehicle or cause.in_file).items() if k not in TIMES}
+    if known is not None and known.lead:
+        own = dict([*own.items()][: known.lead])
+    if not own:
+        return title
+
+    def distance(key: str) -> float:
+        p = own[key]
+        return abs(p.value - p.stated) / p.std if p.std > 0.0 else 0.0
+
+    key = max(own, key=distance)
+    size, (quantity, _, way) = size_text(key, own[key]), key_title(key).partition(", ")
+    variants = known.variants if known is not None else ()
+    sections = {key.partition(".")[0] for keys in variants for key in keys}
+    what = way or ("" if len(sections) == 1 and len(own) == 1 else quantity)
+    return f"{title} ({what}: {size})" if what else f"{title} ({size})"
+
+
+def next_step(diagnosis: Diagnosis) -> str:
+    """Return what the user should do after this verdict, as sentences."""
+    if not diagnosis.complete:
+        return "Run the command again with --time-limit 300: the time limit ended the search."
+    file = _use_of_file(diagnosis) if diagnosis.causes else ""
+    if diagnosis.verdict == "unknown":
+        return f"{_after_unknown(diagnosis)} {file}".strip()
+    if diagnosis.verdict == "ambiguous":
+        ways = _manoeuvres([name for group in diagnosis.look_alikes for name in group])
+        return f"Record another drive{ways}, and diagnose it together with these logs. {file}"
+    if _is_turned(diagnosis):
+        return f"Fasten the sensor, and record a new drive. {file}"
+    if diagnosis.causes:
+        return file
+    if diagnosis.likely:
+        ways = _manoeuvres([cause.name for cause in diagnosis.likely])
+        return f"Record a longer drive{ways}, and diagnose it together with these logs."
+    return "Nothing to do: the model file fits these drives."
+
+
+def _is_turned(diagnosis: Diagnosis) -> bool:
+    return any(cause.name in ("mount_shift", "mount_creep") for cause in diagnosis.causes)
+
+
+def _manoeuvres(names: Sequence[str]) -> str:
+    """Return the manoeuvres that show which of these causes is true, in brackets."""
+    ways = ways_apart(names)[:MANY]
+    return f" ({'; '.join(ways)})" if ways else ""
+
+
+def _after_unknown(diagnosis: Diagnosis) -> str:
+    if Kind.GOES_AGAINST in {s.kind for s in diagnosis.structure}:
+        return (
+            "Run 'imucald check' on these logs, correct the sign that it names, and diagnose the "
+            "logs again."
+        )
+    return (
+        f"Look at {_where(diagnosis) or 'the signals'} in the pictures of the report. If the "
+        "sensor is loose, fasten it. Else the list of causes lacks this one."
+    )
+
+
+def _use_of_file(diagnosis: Diagnosis) -> str:
+    """Return whether the user should use the extended model file, as a sentence."""
+    use, why = advice(diagnosis)
+    if use == UNCHANGED:
+        signals = dict.fromkeys(n for cause in diagnosis.causes for n in cause.signals)
+        where = f" ({in_series([signal_title(n) for n in signals])})" if signals else ""
+        return f"Correct the cause in the sensor or its sender{where}: {why}."
+    text = use.replace(" it", " the extended model file (--write-model FILE)", 1)
+    return f"{text[:1].upper()}{text[1:]}: {why}."
 
 
 def advice(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Return whether the user should use the extended model file: the end of a sentence that begins
-    with "The extended model file", and the reason."""
+    """Return whether the user should use the extended model file ("it"), and the reason."""
     if not model_changes(diagnosis.model_before, diagnosis.model_after):
-        return "is unchanged", "the model file has no key for the found causes"
+        return UNCHANGED, "the model file has no key for what was found"
     if diagnosis.recommended and not diagnosis.gain.was_fitted:
-        return "contains the found values", (
-            "the values were read directly from samples and stops and change no prediction"
+        return "use it", (
+            "its new values were measured at stops or read from samples, so the fit does not change"
         )
+    if diagnosis.recommended and _is_turned(diagnosis):
+        return "use it for these drives only", "the sensor was turned during them"
     if diagnosis.recommended and (why := for_prediction_only(diagnosis)):
-        return "is for prediction only", f"it contains {why}"
+        return "use it for prediction only", f"it contains {why}"
     if diagnosis.recommended:
-        return "predicts better, use it", "it was tested on data that its fit did not see"
+        return "use it", "it predicts better, on data that its fit did not see"
     if any(s.kind in UNBELIEVED for s in diagnosis.structure):
         why = f"the model does not explain {_where(diagnosis)}"
     elif diagnosis.gain.worse:
         names = in_series([signal_title(n) for n in diagnosis.gain.worse])
-        why = f"it predicts {names} worse"
+        why = (
+            f"it predicts {names} worse. The causes are certain, but a written value that this "
+            "signal shows is wrong"
+        )
     else:
         why = "it does not predict held-out data better"
-    return "is not recommended", why
+    return "do not use it", why
 
 
 def _likely(diagnosis: Diagnosis) -> str:
@@ -277,6 +379,9 @@ def parameter_rows(cause: FoundCause) -> list[ParameterRow]:
     rows = []
     for key, p in (*cause.in_file.items(), *cause.along_vehicle.items()):
         shown, stated = for_people(key, p)
+        if key.startswith("_"):  # no key of the model file
+            rows.append(ParameterRow(key_title(key), shown, "-", "", shown))
+            continue
         of_file = "" if key in cause.along_vehicle else key
         rows.append(ParameterRow(key_title(key), shown, stated, of_file, in_file(p)))
     return rows

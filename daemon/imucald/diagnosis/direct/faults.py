@@ -17,6 +17,7 @@ from imucald.can.lost_frames import cycle_of, is_cycle_of
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
+from imucald.diagnosis.direct.levels import levels_of, step_of
 from imucald.diagnosis.direct.single_values import Lost
 from imucald.diagnosis.direct.stuck import STUCK, Fault, is_shown_often, stuck, stuck_fault
 from imucald.diagnosis.direct.successive import stays_until_off
@@ -210,20 +211,48 @@ def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterat
     hit = found.on_rail
     if hit.any():
         share = float(hit.mean())
-        # a signal that never crosses 0 has no symmetric range that a model file could state
-        size = min((abs(end) for end in found.ends if end), default=0.0)
-        shown = ", ".join(f"{end:.4g}" for end in found.ends)
-        unit = QUANTITIES[name].unit
-        yield Fault(
-            "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)} if size else {},
+        shown = ", ".join(f"{_axis_of(series.values, end)}{end:.4g}" for end in found.ends)
+        unit, size = QUANTITIES[name].unit, _common_range(series.values, found.ends)
+        text = (
             f"{100 * share:.2g} % of the samples have the value {shown} {unit}, more than "
-            "the tail of its values allows.",
+            "the tail of its values allows."
+        )
+        if not size:
+            text += (
+                " The model file has one range for all axes and signs, so it cannot hold "
+                f"{'these values' if len(found.ends) > 1 else 'this value'}."
+            )
+        values = {f"_{name}.clipped": (share, 0.0, "1")}
+        if size:
+            values[f"{name}.full_scale"] = size, 0.0, unit
+        yield Fault(
+            "saturation", name, values, text,
             {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
             spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
         )  # fmt: skip
     held = _runs_of(series.t, found.stuck & ~hit)
     if spans := [span for span in held if not is_shown_often(series, span)]:
         yield stuck_fault(name, spans)
+
+
+def _axis_of(values: Array, end: float) -> str:
+    """Return the name of the axis whose largest or smallest value is this end, with a blank; empty
+    for a signal (N,) without axes. values: (N,) or (N, 3)."""
+    if values.ndim == 1:
+        return ""
+    is_end = (values.max(axis=0) == end) | (values.min(axis=0) == end)
+    return f"{'xyz'[int(np.argmax(is_end))]} "
+
+
+def _common_range(values: Array, ends: Sequence[float]) -> float:
+    """Return the size of the range that a model file can state: no value (N,) or (N, axes) of any
+    axis lies beyond it. 0 if the ends that were found are no such range.
+
+    A converter has one code more on one side, so values may lie one step beyond.
+    """
+    size = min(abs(end) for end in ends)
+    step = step_of(levels_of(np.abs(values)))
+    return size if np.abs(values).max() < size + 1.5 * step + 1e-9 * size else 0.0
 
 
 def _runs_of(t: Array, hit: Mask) -> Spans:

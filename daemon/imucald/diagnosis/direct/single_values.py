@@ -116,7 +116,8 @@ def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
 
 
 def held_values(drives: Sequence[DriveSignals]) -> Iterator[Answer]:
-    """Yield the values that a sensor holds. A signal is reported once, for its first drive."""
+    """Yield the values that a sensor holds and no found fault explains. A signal is reported once,
+    for its first drive."""
     found: dict[str, Answer] = {}
     for drive in drives:
         for name in SENSORS:
@@ -129,7 +130,8 @@ def held_values(drives: Sequence[DriveSignals]) -> Iterator[Answer]:
 def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Answer]:
     channel = drive.channels[name]
     moving = np.interp(channel.t, drive.knots.t, np.abs(drive.knots.values)) > DRIVING_MPS
-    table = channel.values[moving]
+    # A fault that was found, such as the end of a range, explains its own values.
+    table = channel.values[moving & channel.good()]
     if len(table) < LEAST_SHOWN:
         return
     # A complete repeat of the frame before is another fault.

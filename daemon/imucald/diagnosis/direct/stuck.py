@@ -178,8 +178,13 @@ def _detrended(rows: Array) -> Array:
 
 
 def _left(windows: Array, own: Array) -> Array:
-    """Return the rms residual (W + 1,) of the speed. The regression is fitted to the windows (W, n,
-    P). The last residual belongs to the tested interval."""
+    """Return the rms residuals (W + 1,) of the speed [m/s]: of each window, then of the tested
+    interval.
+
+    windows: (W, n, 1 + k): the speed, then k regressors, at n times of each window in motion. own:
+    (1, n, 1 + k), the same of the tested interval. The regression of the speed on the regressors is
+    fitted to the windows only.
+    """
     gram = np.einsum("wni,wnj->ij", windows, windows)
     ridge = 1e-9 * np.diag(np.diag(gram)[1:]) + 1e-30 * np.eye(len(gram) - 1)
     b = np.linalg.solve(gram[1:, 1:] + ridge, gram[1:, 0])

@@ -400,7 +400,7 @@ def _trait_row(signal: str, trait: Trait, on_grid: Collection[str]) -> FamilyRow
         lambda _, more: (
             f"it {trait.more if more > 0.0 else trait.less} than in the drives of the model "
             f"file: by {abs(more):.2g} {trait.unit}, and roads and driving make at most "
-            f"{trait.limit:g}. Something between the sensor and the log has changed"
+            f"{trait.limit:g}. The sensor's filter, a gateway or the logger has changed the samples"
         ),
         either_way=True,
         in_times=False,

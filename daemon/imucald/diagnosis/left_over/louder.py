@@ -107,8 +107,9 @@ def uneven(left: Remains) -> Iterator[Answer]:
         over = np.sort((power - noise) / np.maximum(may, 1e-30))
         size = float(np.sqrt(max(over[n - few - 1], 0.0)))
         text = (
-            f"one segment in fifteen has {size:.2g} times the residual of a correct "
-            "file, noise not counted: something acts only in these segments"
+            f"more than one segment in fifteen has at least {size:.2g} times the residual that the "
+            "tolerances of a correct model file cause (noise is subtracted): something acts only "
+            "in these segments"
         )
         yield Answer(name, size, 1.0, CHANCE, text)
 

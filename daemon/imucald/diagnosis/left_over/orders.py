@@ -82,9 +82,9 @@ def _answer(some: Sequence[Stretch], turns: Array, harmonic: int) -> Answer:
     p = min(len(turns) * float(gamma.sf(total[best] / usual, kept)), 1.0)
     size = float(np.sqrt(max(powers[:, best].sum(), 0.0) / energies[:, best].sum()))
     text = (
-        f"the residual oscillates {ONCE[harmonic]} in {harmonic / turns[best]:.2f} m of the "
-        f"way, with an amplitude of {100.0 * size:.2g} % of the speed. This is the "
-        f"circumference of a wheel; a wheel without faults causes {100.0 * RUN_OUT:.2g} %"
+        f"the residual oscillates {ONCE[harmonic]} per {harmonic / turns[best]:.2f} m driven, "
+        f"which is the circumference of a wheel. The amplitude is {100.0 * size:.2g} % of the "
+        f"speed; a wheel without faults causes {100.0 * RUN_OUT:.2g} % at most"
     )
     return Answer("accel_x", size, RUN_OUT, p, text)
 

@@ -1,7 +1,8 @@
 """The questions about structure that no cause of the catalogue explains, as rows of tables.
 
-Each row has the question, the kind of structure that it reports, and its statistic. An answer of
-the statistic has a size, the least size that counts, and its chance. `ODD` asks about raw values,
+Each row has the question, the kind of structure that it reports, and its statistic. The statistic
+yields answers (`fit.chance.Answer`): the size of an effect, the smallest size that is reported, and
+the probability of this size if nothing is wrong. `ODD` asks about raw values,
 before any fit. `AGAINST` asks about the residuals of the stated model file, before the search.
 `LEFT` asks about residuals after the search.
 """
