@@ -58,6 +58,21 @@ B_READS = (
     "gyro_start_deg_s",
 )
 """Keys of `attitude.filter` that method B alone reads, to detect rest."""
+FILTER_NEEDS_SPEED = (
+    ("squat",),
+    *(("compensation", key) for key in ("average", "timeout", "delay", "speed_is", "lever_arm")),
+    *(("compensation", key) for key in FILTER_ONLY),
+)
+"""Keys of `attitude` that the filter reads only with a speed. Without a speed, the filter has no
+forward acceleration, and its noise covers the lever arm."""
+B_NEEDS_SPEED = (
+    *(("compensation", key) for key in ("average", "interval", "timeout", "speed_is")),
+    ("compensation", "centripetal"),
+    ("filter", "start"),
+    ("filter", "rest_accel_spread"),
+)
+"""Keys of `attitude` that method B alone reads only with a speed. Without a speed, each rest must
+last `filter.check`, as still as a parked vehicle."""
 
 
 def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple[Place, str]]:
@@ -256,9 +271,11 @@ def _attitude(config: Keys) -> Iterator[Rule]:
     for key in ("magnetometer_noise_deg", "declination_deg"):
         yield (at, "filter", key), not alone and source != "magnetometer", why
     has_speed = config.signals.speed is not None or config.signals.wheel_speeds is not None
-    for key in ("average", "timeout", "delay", "speed_is", *FILTER_ONLY):
-        idle = not has_speed and not (alone and key in (*FILTER_ONLY, "delay"))
-        yield (at, "compensation", key), idle, "without a speed"
+    why = "without a speed"
+    for place in B_NEEDS_SPEED if alone else FILTER_NEEDS_SPEED:
+        yield (at, *place), not has_speed, why
+    idle = not (alone or has_speed) and attitude.compensation.send
+    yield (at, "compensation", "centripetal"), idle, why
 
 
 def _travel(config: Keys) -> Iterator[Rule]:
@@ -271,9 +288,13 @@ def _travel(config: Keys) -> Iterator[Rule]:
     why = "on the heading with 'method: alternative' and a gyroscope"
     for key in ("tilt_on_turn_deg", "differ_deg", "tilt_deg"):
         yield (at, "choice", key), idle, why
+    idle = travel.method == "published" and signals.gyroscope is not None
+    why = "on the heading with 'method: published'"
+    for key in ("compass_time", "lead_deg", "memory_steps", "carry_change_deg"):
+        yield (at, "alternative", key), idle, why
     yield (at, "compass"), signals.heading is None, "without signals.heading"
     why = "without signals.magnetometer"
     yield (at, "declination_deg"), signals.magnetometer is None, why
     why = "without signals.heading"
     idle = signals.heading is None and signals.gyroscope is not None
-    yield (at, "alternative", "compass_time"), idle, why
+    yield (at, "alternative", "compass_time"), idle and travel.method == "alternative", why
