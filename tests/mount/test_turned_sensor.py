@@ -67,6 +67,25 @@ def test_a_gust_that_pushes_the_vehicle_is_none() -> None:
     )
 
 
+@pytest.mark.parametrize(("std_deg", "found"), [(0.0, True), (1.2, False)])
+def test_a_zero_that_was_guessed_badly_turns_no_sensor(std_deg: float, found: bool) -> None:
+    """A drive that begins on a motorway: the zero of the rate is 1.7 deg/s off, and known so."""
+    rate = np.tile([0.0, 0.0, math.radians(1.7)], (BLOCK_TICKS, 1))
+    one = block(0.0, rate=rate, turn_zero_std=math.radians(std_deg))
+    change = HandMoves().while_driving(one, np.eye(3), rate[:, 2], NONE, has_yaw_rate=True)
+    assert (change is not None) == found
+
+
+def test_a_better_guess_of_the_zero_turns_no_sensor() -> None:
+    """The rates before it, which the next block is compared with, had the former zero taken off."""
+    moves, zeros = HandMoves(), np.radians([-1.7, 0.0])
+    for k, (zero, std_deg) in enumerate(zip(zeros.tolist(), (1.2, 0.03), strict=True)):
+        bias, rate = np.array([0.0, 0.0, zero]), np.tile([0.0, 0.0, -zero], (BLOCK_TICKS, 1))
+        std = {"gyro_bias": bias, "turn_zero_std": math.radians(std_deg)}
+        one = block(6.4 * k, rate=rate, **std)
+        assert moves.while_driving(one, np.eye(3), rate[:, 2], NONE, has_yaw_rate=True) is None
+
+
 def test_a_jolt_that_comes_back_is_none() -> None:
     alone = TurnedAlone()
     assert alone.take_rates(knock(2.0, 20.0) + knock(2.5, -20.0), NONE, ALL) == 0.0

@@ -11,6 +11,9 @@ The angle of a gyroscope that sends seldom has a random walk (`gyro_walk`). For 
 that shook in its holder, at five samples a second, seemed to turn by 29 deg within 2 s and had not
 turned.
 
+Before the first rest, the zero error of the gyroscope is a guess with a deviation
+(`offsets.turn_zero_std`). A guess that is wrong by 1.7 deg/s looks like a turn by 3.4 deg.
+
 `HandMoves` also detects any rotation and any tilt of the sensor while the vehicle stands.
 """
 
@@ -51,13 +54,14 @@ class Witness(Struct, frozen=True):
     least: float
     gain_share: float
 
-    def beside(self, walk: float) -> Witness:
-        """Return these limits for a gyroscope whose angle has a random walk.
+    def beside(self, walk: float, zero_std: float = 0.0) -> Witness:
+        """Return these limits for a gyroscope with errors of its own.
 
-        walk: variance of the random walk per second [rad^2/s]. The walk enlarges `least` by
-        `DEVIATIONS` of its standard deviations.
+        walk: variance of the random walk of its angle per second [rad^2/s]. zero_std: deviation of
+        its zero error [rad/s]. Both enlarge `least` by `DEVIATIONS` of their standard deviations.
         """
-        own = DEVIATIONS * math.sqrt(walk * APART * TICK_S)
+        seconds = APART * TICK_S
+        own = DEVIATIONS * math.hypot(math.sqrt(walk * seconds), zero_std * seconds)
         return Witness(math.hypot(self.least, own), self.gain_share)
 
 
@@ -78,10 +82,17 @@ class TurnedAlone:
 
     def __init__(self) -> None:
         self._before: Array = np.zeros((2, 0))
+        self._zero = 0.0
 
     def restart(self) -> None:
         """Restart: later data are not compared with earlier data."""
         self._before = np.zeros((2, 0))
+
+    def take_zero(self, zero: float) -> None:
+        """Set the zero error [rad/s] that was subtracted from the gyroscope's rates of the next
+        block. It is subtracted from the stored rates too, in place of the former zero error."""
+        self._before[0] += self._zero - zero
+        self._zero = zero
 
     def take_rates(
         self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE
@@ -195,7 +206,8 @@ class HandMoves:
         else:
             ok = p.ok_force & p.ok_speed & (np.abs(p.speed) > MIN_SPEED)
             vehicle, by = lateral / np.where(ok, p.speed, 1.0), FORCE
-        by = by.beside(float(R[2] @ p.rate_walk @ R[2]))
+        by = by.beside(float(R[2] @ p.rate_walk @ R[2]), p.turn_zero_std)
+        self._alone.take_zero(float(R[2] @ p.gyro_bias))
         turned = self._alone.take_rates(turn_rate, vehicle, p.ok_rate & ok, by)
         if turned == 0.0:
             return None
