@@ -454,6 +454,14 @@ def test_the_rate_of_a_plain_car_is_that_of_the_stamps_however_many_frames_are_l
     assert _rates([recording])["accel"] == pytest.approx(100.0, rel=2e-6)
 
 
+def test_the_rate_of_frames_that_come_in_batches_is_their_mean_rate():
+    """Most steps are those within a batch: their median made a rate of 1000 Hz of one of 100 Hz."""
+    t, place = drive()["accel"].t, np.arange(round(100 * SECONDS))
+    late = Series(t[np.minimum(place // 10 * 10 + 9, len(t) - 1)] + 2e-5 * (place % 10), t)
+    rates = _rates([Recording("log", {"accel": late}, SECONDS, 1, {})])
+    assert rates["accel"] == pytest.approx(100.0, rel=1e-3)
+
+
 def test_where_frames_are_lost_no_clock_error_is_certain():
     model = MODEL.with_changes({"accel.rate_hz": 100.2})
     assert causes(with_jitter(0.0), model)["clock_drift:accel"].changes

@@ -1,38 +1,57 @@
 """Estimate the share of lost frames of a cyclic message from the times of the received frames.
 
-The estimate also works with coarse time stamps. `diagnosis.direct.faults` finds which frames are
-missing and the error of the sender's clock, but only if the time stamps follow a cycle.
+The estimate also works with coarse time stamps. `diagnosis.direct.faults` uses the same cycle to
+find which frames are missing and the error of the sender's clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Message
+from imucald.core.arrays import Array
 
-REGULAR, REGULAR_SHARE = 0.25, 0.6
-"""A message is cyclic if the share REGULAR_SHARE of its intervals differs from its cycle by at most
-REGULAR cycles. With a difference of 0.5 cycles, one and two cycles could not be distinguished, so
-REGULAR is half of 0.5."""
 MOST_CYCLES, MOST_S = 20, 2.0
 """If an interval is longer than both limits (cycles, seconds), the sender was off, and no frames
 count as lost. A recorder that is too slow leaves gaps of some tenths of a second."""
-TOGETHER = 32
-"""Number of frames that are fitted with one grid of times. A cycle that is 1 % wrong gives an error
-of a third of a cycle over 32 frames. A sender's clock does not drift that much in so few frames."""
-MOST_ROWS = 128
-"""Largest number of groups of frames. With this number of groups, the cycle is known to 0.1 %."""
-PITCHES = np.exp(np.linspace(-0.16, 0.16, 129))
-"""Tried cycles, divided by the median interval. Coarse time stamps change the median by up to a
-sixth. The step is the resolution of `TOGETHER` frames."""
+TOGETHER = 128
+"""Number of frames with a common phase. A sender's clock does not drift by a part of a cycle in so
+few frames."""
+FEWEST = 8
+"""Smallest number of intervals that show a cycle."""
+MOST_ROWS = 8
+"""Largest number of groups of frames for which all cycles are tried. The groups are spread over the
+recording."""
+CYCLES = np.exp(np.arange(-0.7, 0.012, 0.1 / TOGETHER))
+"""Tried cycles, divided by the mean interval. With lost frames, the cycle is shorter than the mean
+interval. If more than half of the frames are lost, the cycle is not known. The step is a fraction
+of the resolution of `TOGETHER` frames."""
+NEAR, NEAR_SHARE = 0.25, 0.75
+"""A message is cyclic if the share NEAR_SHARE of its frames comes at most NEAR cycles early or
+late. For frames at random times, this share is 0.5."""
+LEAST_LATE_S = 1e-5
+"""Smallest error of a time stamp [s]. A frame on a bus is longer."""
 DROPPING_SHARE = 0.02
 """If every message loses at least this share, the cause is not a single sender."""
 
 
-def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -> float | None:
+class Cycle(NamedTuple):
+    """The cycle of a message.
+
+    seconds: its length [s]. loses: True if frames are lost, so the numbers of the frames are not
+    the numbers of the rows. steps: (M,) number of cycles from frame to frame, at least 1, within
+    groups of `TOGETHER` frames.
+    """
+
+    seconds: float
+    loses: bool
+    steps: Array
+
+
+def lost_share(intervals: Array, message: Message | None = None) -> float | None:
     """Return the share of lost frames; intervals: (N,) between the received frames [s].
 
     message: its description, if a database has one. Returns None for a message that is not cyclic,
@@ -40,49 +59,86 @@ def lost_share(intervals: NDArray[np.float64], message: Message | None = None) -
     """
     if message is not None and message.is_multiplexed:
         return None
-    cycle = float(np.median(intervals)) if len(intervals) else 0.0
-    if not cycle:
-        return None
-    intervals = intervals[intervals < max(MOST_CYCLES * cycle, MOST_S)]
-    cycle = cycle_of(intervals, cycle)
-    near = np.abs(intervals / cycle - 1.0) < REGULAR
-    if np.mean(near) < REGULAR_SHARE or not is_cycle_of(intervals, near):
-        return None
-    # The elapsed time in cycles: if one interval is too long, the next is too short.
-    return max(0.0, 1.0 - len(intervals) * cycle / float(intervals.sum()))
+    usual = float(np.median(intervals)) if len(intervals) else 0.0
+    cycle = cycle_of(intervals[intervals < max(MOST_CYCLES * usual, MOST_S)])
+    return None if cycle is None else 1.0 - len(cycle.steps) / float(cycle.steps.sum())
 
 
-def is_cycle_of(intervals: NDArray[np.float64], near: NDArray[np.bool_]) -> bool:
-    """Return whether the intervals that are one cycle long, marked by `near`, take most of the time
-    of all intervals (N,) [s].
+def cycle_of(intervals: Array) -> Cycle | None:
+    """Return the cycle of frames with intervals (N,) [s]; None for frames without a cycle.
 
-    An adapter that hands over frames in batches stamps the frames of a batch closely one after the
-    other. Most intervals are then equal, but they take nearly no time, and no sender has this
-    cycle.
+    Each cycle predicts the time of a frame from its number. The best cycle has the shortest
+    description of the times: the logarithms of the errors, plus the information in the numbers if
+    frames are lost at random. The row numbers describe the times without lost frames. The step
+    of coarse time stamps also predicts them, but then many frames seem to be lost.
     """
-    return bool(2.0 * intervals[near].sum() > intervals.sum())
+    if len(intervals) < FEWEST or intervals.max() <= 0.0:
+        return None
+    count = min(len(intervals), TOGETHER)
+    rows = len(intervals) // count
+    t = np.cumsum(intervals[: rows * count].reshape(rows, count), axis=1)
+    few = t[:: -(-rows // MOST_ROWS)]
+    # A time stamp of a coarse clock is late by half a step on average.
+    late = max(0.5 * _resolution(intervals), LEAST_LATE_S)
+    tried = float(intervals.mean()) * CYCLES
+    best = float(tried[np.argmin([_length(few, _numbers(few, c), c, late) for c in tried])])
+    for _ in range(2):
+        best = _slope(t, _numbers(t, best))
+    found = [(_numbers(t, best), best)]
+    by_rows = np.broadcast_to(np.arange(float(count)), t.shape)
+    found.append((by_rows, _slope(t, by_rows)))
+    lengths = [_length(t, numbers, cycle, late) for numbers, cycle in found]
+    numbers, cycle = found[int(np.argmin(lengths))]
+    if cycle <= 0.0 or np.mean(np.abs(_errors(t, numbers, cycle)) < NEAR * cycle) < NEAR_SHARE:
+        return None
+    steps = np.diff(numbers, axis=1).ravel()
+    return Cycle(cycle, bool(steps.max() > 1.0), steps)
 
 
-def cycle_of(intervals: NDArray[np.float64], usual: float) -> float:
-    """Return the cycle near `usual` [s] whose grid fits frames with intervals (N,) [s] best.
+def _resolution(intervals: Array) -> float:
+    """Return the step of the time stamps [s]: the smallest difference between intervals."""
+    seen = np.unique(np.round(np.append(intervals, 0.0), 6))
+    return float(np.diff(seen).min())
 
-    Coarse or late time stamps scatter about the grid, and a lost frame leaves a place of the grid
-    empty. Scatter and lost frames do not shift the best grid (periodogram), but they would shift
-    the median.
+
+def _numbers(t: Array, cycle: float) -> Array:
+    """Return the numbers of frames at times t (R, N) [s], by the common phase of each row.
+
+    Each frame has a larger number than the frame before. If a time stamp contradicts this, it was
+    either late, or the time stamps before it were early; the smaller error is chosen in each row.
     """
-    rows = min(len(intervals) // TOGETHER, MOST_ROWS)
-    if not rows:
-        return usual
-    t = np.cumsum(intervals[: rows * TOGETHER].reshape(rows, TOGETHER), axis=1)
-    cycles = usual * PITCHES
-    on_grid = np.exp(t[None] * (-2j * np.pi / cycles)[:, None, None]).sum(axis=2)
-    power = (np.abs(on_grid) ** 2).sum(axis=1)
-    k = int(power[1:-1].argmax()) + 1
-    before, best, after = power[k - 1 : k + 2].tolist()
-    bend = before - 2.0 * best + after
-    if best < max(before, after) or not bend:  # outside the tried cycles
-        return usual
-    return float(cycles[k] * (PITCHES[1] / PITCHES[0]) ** (0.5 * (before - after) / bend))
+    rows = np.arange(t.shape[1])
+    turns = t / cycle
+    phase = np.angle(np.exp(2j * np.pi * turns).sum(axis=1, keepdims=True)) / (2.0 * np.pi)
+    lost = np.round(turns - phase) - rows
+    early = np.maximum.accumulate(lost, axis=1)
+    late = np.minimum.accumulate(lost[:, ::-1], axis=1)[:, ::-1]
+    errors = (np.abs(_centred(turns - rows - x)).sum(axis=1) for x in (early, late))
+    is_late = np.greater(*errors)[:, None]
+    return np.asarray(rows + np.where(is_late, late, early))
+
+
+def _centred(x: Array) -> Array:
+    return np.asarray(x - x.mean(axis=1, keepdims=True))
+
+
+def _errors(t: Array, numbers: Array, cycle: float) -> Array:
+    """Return the errors (R, N) of times that are predicted from the numbers [s]."""
+    return _centred(t - cycle * numbers)
+
+
+def _slope(t: Array, numbers: Array) -> float:
+    """Return the cycle that fits these numbers [s]."""
+    centred = _centred(numbers)
+    return float((_centred(t) * centred).sum() / (centred**2).sum())
+
+
+def _length(t: Array, numbers: Array, cycle: float, late: float) -> float:
+    """Return the length of the description [nats per frame]. late: accuracy of a time stamp [s]."""
+    received = numbers[:, 1:].size / float((numbers[:, -1] - numbers[:, 0]).sum())
+    lost = 1.0 - received
+    of_numbers = -np.log(received) - lost / received * np.log(max(lost, 1e-12))
+    return float(np.log(np.abs(_errors(t, numbers, cycle)) + late).mean() + of_numbers)
 
 
 def dropping_recorder(shares: Sequence[float | None]) -> str | None:

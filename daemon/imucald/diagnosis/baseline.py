@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from imucald.config import LoadedConfig
+from imucald.core.arrays import Array
 from imucald.core.errors import EstimateError
 from imucald.core.samples import INERTIAL, Samples
 from imucald.diagnosis.cause_keys import plausible
-from imucald.diagnosis.direct.faults import clock_of
+from imucald.diagnosis.direct.faults import PAUSE_S, clock_of
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
 from imucald.mount.estimate import MountEstimate
@@ -77,11 +78,19 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
             t = recording.samples[name].t
             if len(t) < 2:
                 continue
-            clock = clock_of(t)
-            seen = clock.cycle_s if clock is not None else float(np.median(np.diff(t)))
-            cycle = recording.cycle_s.get(name) or seen
+            cycle = recording.cycle_s.get(name) or _cycle(t)
             rates[name] = min(max(1.0 / max(cycle, 1e-3), SLOWEST_HZ), FASTEST_HZ)
     return rates
+
+
+def _cycle(t: Array) -> float:
+    """Return the cycle time of frames at times t (N,) [s], or their mean step without a clear cycle.
+    The median is not used because most steps within batches are much shorter."""
+    clock = clock_of(t)
+    if clock is not None:
+        return clock.cycle_s
+    steps = np.diff(t)
+    return float(np.mean(steps[steps < PAUSE_S])) if (steps < PAUSE_S).any() else PAUSE_S
 
 
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.can.lost_frames import cycle_of, is_cycle_of
+from imucald.can.lost_frames import cycle_of
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
@@ -25,9 +25,10 @@ from imucald.diagnosis.signals import CHANCE, Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
 from imucald.motion.recorded_health import recorded_health
 
-NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
-"""Conditions for a known cycle time: most time stamps are near the cycle, scatter little and do not
-drift away from it. A unit that answers requests (OBD-II) has no cycle time."""
+WANDER_S = 0.01
+"""Largest drift of time stamps away from a steady cycle [s]."""
+NEAR = 0.4
+"""Largest part of a cycle by which a frame is late. Beyond half a cycle, it is early."""
 ADDED_UP = 0.5
 """Limit of the variance ratio: variance of a sum of many steps divided by the sum of their
 variances (Lo and MacKinlay 1988). The ratio is 1 if each step begins when the previous step ends (a
@@ -80,24 +81,16 @@ def clock_of(t: Array) -> Clock | None:
     steps = np.diff(t)
     if len(steps) < 50:
         return None
-    cycle = float(np.median(steps))
-    if not cycle:
+    found = cycle_of(steps[steps < PAUSE_S])
+    if found is None:
         return None
-    cycle = cycle_of(steps[steps < PAUSE_S], cycle)
-    near = np.abs(steps - cycle) < NEAR_SHARE * cycle
-    if near.mean() < NEAR or np.std(steps[near]) > JITTER_SHARE * cycle:
-        return None
-    if not is_cycle_of(steps, near):
-        return None
-    at = t - t[0]
+    at, cycle = t - t[0], found.seconds
     for _ in range(LOCKS):
         count = _counted(at, cycle)
         left, slope = _line(count, at)
         if abs(slope / cycle - 1.0) > 0.02:
             return None
         cycle = slope
-    # Time stamps with a resolution of half a cycle cannot count the frames. If no frame is lost,
-    # the row numbers count them.
     rows = np.arange(len(at), dtype=float)
     by_rows, slope = _line(rows, at)
     if np.std(by_rows) <= np.std(left):
@@ -128,7 +121,7 @@ def _adds_up(steps: Array, cycle: float) -> bool:
     """True if delays add up from frame to frame. No clock then triggers the frames, and the mean
     step is not the cycle time of a clock. steps: (N,) [s]."""
     late = late_steps(steps, cycle)
-    late = late[np.abs(late) < NEAR_SHARE * cycle]
+    late = late[np.abs(late) < NEAR * cycle]
     late = late - late.mean()
     total = np.concatenate([[0.0], np.cumsum(late)])
     many = min(NEIGHBOURS, len(late) // 2)
