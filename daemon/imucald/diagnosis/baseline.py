@@ -84,7 +84,7 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 
 
 def _cycle(t: Array) -> float:
-    """Return the cycle time of frames at times t (N,) [s], or their mean step without a clear cycle.
+    """Return the cycle time of frames at times t (N,) [s], or the mean step.
     The median is not used because most steps within batches are much shorter."""
     clock = clock_of(t)
     if clock is not None:
