@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from imucald.core.arrays import Array
+from imucald.core.samples import GRAVITY
 from imucald.drive.equations import Complex
 from imucald.model.vehicle import STEERING_GEAR_S, Chassis
 from imucald.motion.ticks import TICK_S
@@ -24,6 +25,9 @@ SLOW_MPS = 2.5
 """Speed [m/s] below which play and tyres determine the yaw rate, and not the steering angle."""
 RELAXATION_M = 0.4
 """Distance over which the side force of a tyre builds up [m]: 0.2 to 0.6 m in cars."""
+LOADED_M = 0.3
+"""Height of the centre of gravity, times the growth of cornering stiffness with load [m]: 0.45 to
+0.7 m, times 0.3 to 0.9."""
 LEVEL_MPS = 4.0
 """Spacing of the speeds at which the model is solved [m/s]. Solutions are interpolated between
 these speeds."""
@@ -98,20 +102,37 @@ def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
     return (inertia - c.cg_to_rear_m - RELAXATION_M) / np.maximum(np.abs(speed), SLOW_MPS) + slip
 
 
-def sideways(v: Array, r: Array, t: Array, kappa: float, chassis: Chassis) -> Array:
-    """Return the lateral speed of the reference point."""
+def sideways(
+    v: Array, r: Array, t: Array, kappa: float, ahead: Array, height: float, chassis: Chassis
+) -> Array:
+    """Return the lateral speed of the reference point. ahead: dv/dt (N,). height: as in
+    `load_transfer`."""
     slip = kappa * np.abs(v)
     late = slip_delay(v, slip, chassis)
-    return np.asarray(chassis.cg_to_rear_m * r - slip * v * np.interp(t - late, t, r))
+    # Acceleration loads the rear axle, so its tyres need less slip for the same force.
+    load = np.maximum(1.0 + height / (GRAVITY * chassis.cg_to_front_m) * ahead, 0.5)
+    return np.asarray(chassis.cg_to_rear_m * r - slip / load * v * np.interp(t - late, t, r))
+
+
+def load_transfer(height: float, kappa: float, gradient: float, chassis: Chassis) -> float:
+    """Return the growth of the understeer gradient with dv/dt [rad/(m/s^2)^2]: the load of the axles
+    shifts by m h dv/dt / L, and the cornering stiffness of an axle goes with its load.
+
+    height: height of the centre of gravity [m], times the growth of stiffness with load (1:
+    proportional). kappa: slip of the rear axle per sideways acceleration [rad/(m/s^2)].
+    """
+    c = chassis
+    return height / GRAVITY * ((kappa + gradient) / c.cg_to_rear_m + kappa / c.cg_to_front_m)
 
 
 def single_track(
     v: Array, steer: Array, leaning: Array, ratio: float, gradient: float, varying: float,
-    wheelbase_m: float,
+    wheelbase_m: float, ahead: Array, transfer: float,
 ) -> Array:  # fmt: skip
     """Return the yaw rate from the steering angle, r = v (delta - K f_lean)/(L + K v^2), with the
-    sideways force of the road's lean."""
+    sideways force of the road's lean. K: understeer gradient plus `transfer` times dv/dt (N,)."""
     angle = np.clip(steer / ratio, -1.2, 1.2)
     angle = angle + varying * angle**3
-    turn = np.tan(angle) - gradient * leaning
-    return np.asarray(v * turn / np.maximum(wheelbase_m + gradient * v * v, 0.3))
+    under = gradient + transfer * ahead
+    turn = np.tan(angle) - under * leaning
+    return np.asarray(v * turn / np.maximum(wheelbase_m + under * v * v, 0.3))

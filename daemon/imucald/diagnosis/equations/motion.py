@@ -79,8 +79,6 @@ class VehicleMotion:
             self.r = self._scalar("yaw_rate")
         else:
             self.r = once(np.zeros, len(reader.t))
-        kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
-        self.v_y = once(tyres.sideways, self.v, self.r, reader.t, kappa, model.chassis)
         slopes = once(eq.mean_slope, drive.knots.values, reader.knots)
         if reference is not None:
             slopes = reference.slopes
@@ -92,6 +90,13 @@ class VehicleMotion:
             # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
             lead = self.v * self.held(self.slopes)
             self.slopes = self.slopes - driven * self._mean_slopes(np.gradient(lead, STEP_S))
+        self.kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
+        self.height = tyres.LOADED_M + changes.get("_tyre.loaded_height", 0.0)
+        self.ahead = once(eq.slow, self.held(self.slopes))
+        self.v_y = once(
+            tyres.sideways, self.v, self.r, reader.t, self.kappa, self.ahead, self.height,
+            model.chassis,
+        )  # fmt: skip
 
     def _scalar(self, name: str, true: Array | None = None) -> Array:
         shown = self.f.scalar(name, self.changes, true)
@@ -201,7 +206,6 @@ class VehicleMotion:
         s, c, t, once = self.f.model.suspension, self.changes, self.f.t, self.once
         # Only motion is used, because gravity's part of the force changes with the rates
         # themselves.
-        along = once(eq.slow, self.held(self.slopes))
         across = once(eq.slow, once(np.multiply, self.v, self.r))
         roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
         squat = s.squat_gradient * float(s.squat_dive) + c.get("suspension.squat_gradient", 0.0)
@@ -211,7 +215,7 @@ class VehicleMotion:
         rolling = once(eq.rolling, across, roll, superelevation, t, late)
         found["gyro_x"] = self._apart(self.measured[0], rolling)
         late = s.pitch_damping / (np.pi * s.pitch_frequency_hz)
-        pitching = once(eq.pitching, along, squat, dive, t, late)
+        pitching = once(eq.pitching, self.ahead, squat, dive, t, late)
         found["gyro_y"] = once(np.add, self.measured[1], pitching)
         if self.f.drive.has("yaw_rate"):
             true = None if self.settled is None else self.settled.rate
@@ -275,9 +279,11 @@ class VehicleMotion:
         steer = once(self._followed, steer, once(np.abs, self.v), c, gradient)
         varying = self.changes.get("_steering.variable_ratio", 0.0)
         leaning = once(eq.slow, self._leaning())
+        transfer = tyres.load_transfer(self.height, self.kappa, gradient, c)
         return once(
-            tyres.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m
-        )
+            tyres.single_track, self.v, steer, leaning, ratio, gradient, varying, c.wheelbase_m,
+            self.ahead, transfer,
+        )  # fmt: skip
 
     def _followed(self, steer: Array, speed: Array, chassis: Chassis, gradient: float) -> Array:
         return tyres.followed_angle(steer, speed, chassis, gradient, self.once)
