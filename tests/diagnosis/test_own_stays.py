@@ -118,7 +118,7 @@ def test_length_release_and_sensors_are_enough_together_where_none_is_by_itself(
     assert longest(town(2, 0.1)) > 28 / 4
     seen, hidden = (held(town(2, slopes), 1100, 29) for slopes in (0.1, 0.5))
     for samples in (seen, hidden):
-        assert chances_of_sensors(samples, ((1100.0, 1128.0),))[0] > 0.01
+        assert chances_of_sensors(samples, ((1100.0, 1128.0),))[0][0] > 0.01
     [(low, high)] = stuck(seen)
     assert (low, high) == (pytest.approx(1100.0, abs=2.0), pytest.approx(1128.0, abs=2.0))
     assert stuck(hidden) == []

@@ -32,7 +32,7 @@ from scipy.stats import t as student
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, Samples, Series
 from imucald.core.text import counted
-from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, Channel, Spans
+from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, Channel, Mask, Spans
 
 Index = NDArray[np.intp]
 FEW_STAYS = 20
@@ -47,6 +47,8 @@ _B = 1.0 / _ONE_OVER_B
 1/b and in the mean probability a/(a + b)."""
 _A = _GOES_ON / (1.0 - _GOES_ON) * _B
 STEP_S = 0.2
+PART_S = 20.0
+"""Length of the parts of a long interval that are compared with windows of the drive [s]."""
 LEAST_WINDOWS = 8
 """Smallest number of windows of the same length with which an interval is compared."""
 APART = 4
@@ -106,33 +108,44 @@ def chance_of_any(product: float, count: int, asked: int) -> float:
     return min(1.0, asked * float(chi2.sf(logs, 2 * count)))
 
 
-def chances_of_sensors(samples: Samples, spans: Spans) -> Array:
-    """Return the chance (S,) of the sensors' signals in each interval of constant speed, assuming
-    that the true speed is constant. NaN if the sensors do not cover an interval.
+def chances_of_sensors(samples: Samples, spans: Spans) -> tuple[Array, Array]:
+    """Return two chances (S,) of the sensors' signals in each interval of constant speed: if the
+    true speed is constant, and if it changes as in other parts of the drive. NaN if the sensors do
+    not cover an interval.
 
-    The logarithm of the interval's residual is compared with the residuals of windows of the same
-    length in motion (Student's t distribution of one further value). No window contains part of
-    another interval.
+    The logarithm of the interval's residual is compared with the residuals of windows in motion
+    (Student's t distribution of one further value), and with the residuals that these windows would
+    have if their speed were stuck. Long intervals are divided into parts, so that there are enough
+    windows. No window contains part of another interval.
     """
-    made = np.full(len(spans), np.nan)
+    made = np.full((2, len(spans)), np.nan)
     if not spans or "accel" not in samples:
-        return made
+        return made[0], made[1]
     t, signals = _signals(samples)
     for k, (low, high) in enumerate(spans):
-        n = round((high - low) / STEP_S)
+        parts = max(1, round((high - low) / PART_S))
+        n = round((high - low) / STEP_S / parts)
         first = int(np.searchsorted(t, low))
-        if not len(t) or low < t[0] - STEP_S or first + n > len(t):
+        if not len(t) or low < t[0] - STEP_S or first + parts * n > len(t):
             continue
         starts = _windows(t, signals[:, 0], n, spans)
         if len(starts) < LEAST_WINDOWS or n < 2 * signals.shape[1]:
             continue
         windows = np.array([_detrended(signals[i : i + n]) for i in starts])
-        own = _detrended(signals[first : first + n])
-        left = _left(windows, own[None])
-        usual, here = np.log(left[:-1]), float(np.log(left[-1]))
-        spread = float(np.std(usual, ddof=1)) * np.sqrt(1.0 + 1.0 / len(usual))
-        made[k] = student.sf((here - usual.mean()) / max(spread, 1e-12), len(usual) - 1)
-    return made
+        places = [first + part * n for part in range(parts)]
+        own = np.array([_detrended(signals[i : i + n]) for i in places])
+        moving, stuck_there, here = (np.log(x) for x in _left(windows, own))
+        made[0, k] = 1.0 - _below(here, moving)
+        made[1, k] = _below(here, stuck_there)
+    return made[0], made[1]
+
+
+def _below(here: Array, usual: Array) -> float:
+    """Return the chance that the mean of as many further values of `usual` is below that of
+    `here`."""
+    spread = float(np.std(usual, ddof=1)) * np.sqrt(1.0 / len(here) + 1.0 / len(usual))
+    apart = float(here.mean() - usual.mean()) / max(spread, 1e-12)
+    return float(student.cdf(apart, len(usual) - 1))
 
 
 def _signals(samples: Samples) -> tuple[Array, Array]:
@@ -177,20 +190,23 @@ def _detrended(rows: Array) -> Array:
     return np.asarray(rows - line @ np.linalg.lstsq(line, rows, rcond=None)[0])
 
 
-def _left(windows: Array, own: Array) -> Array:
-    """Return the rms residuals (W + 1,) of the speed [m/s]: of each window, then of the tested
-    interval.
+def _left(windows: Array, own: Array) -> tuple[Array, Array, Array]:
+    """Return the rms residuals of the speed [m/s]: (W,) of each window, (W,) of the same windows if
+    their speed were stuck, and (K,) of each tested part.
 
     windows: (W, n, 1 + k): the speed, then k regressors, at n times of each window in motion. own:
-    (1, n, 1 + k), the same of the tested interval. The regression of the speed on the regressors is
+    (K, n, 1 + k), the same of the tested parts. The regression of the speed on the regressors is
     fitted to the windows only.
     """
     gram = np.einsum("wni,wnj->ij", windows, windows)
     ridge = 1e-9 * np.diag(np.diag(gram)[1:]) + 1e-30 * np.eye(len(gram) - 1)
     b = np.linalg.solve(gram[1:, 1:] + ridge, gram[1:, 0])
-    rows = np.concatenate([windows, own])
-    left = rows[:, :, 0] - rows[:, :, 1:] @ b
-    return np.asarray(np.maximum(np.sqrt(np.mean(left**2, axis=1)), 1e-9))
+
+    def rms(x: Array) -> Array:
+        return np.asarray(np.maximum(np.sqrt(np.mean(x**2, axis=1)), 1e-9))
+
+    felt = windows[:, :, 1:] @ b
+    return rms(windows[:, :, 0] - felt), rms(felt), rms(own[:, :, 0] - own[:, :, 1:] @ b)
 
 
 @dataclass(frozen=True)
@@ -232,17 +248,26 @@ def stuck(
         return
     # Missing frames are another fault.
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
-    # Only time in motion counts; a long interval may contain stops.
+    # Only time in motion counts; a long interval may contain stops. A speed of 0 does not show
+    # whether the vehicle moves.
     steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > DRIVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
-    length = np.minimum(length, driven[last] - driven[first])
     stays = [(float(t[a]), float(t[b])) for a, b in zip(first, last, strict=True)]
+    is_zero = (name == "speed") & (table[first, 0] == 0.0)
+    length = np.where(is_zero, length, np.minimum(length, driven[last] - driven[first]))
     asked = np.flatnonzero(length > STUCK_S)
     felt = np.full(len(stays), np.nan)
     if name == "speed":
-        felt[asked] = chances_of_sensors(samples, tuple(stays[k] for k in asked))
-    is_unusual = _chances(t, table[:, 0], last, length, asked, felt) < CHANCE
-    spans = [stays[k] for k in np.flatnonzero(is_unusual) if not is_shown_often(series, stays[k])]
+        sound, held = chances_of_sensors(samples, tuple(stays[k] for k in asked))
+        # The sensors may speak for a constant speed too: a cruise is longer than other stays.
+        felt[asked] = sound / np.maximum(held, 1e-300)
+        asked = asked[np.isfinite(felt[asked])]
+    is_unusual = _chances(t, table[:, 0], last, length, is_zero, asked, felt) < CHANCE
+    spans = [
+        stays[k]
+        for k in np.flatnonzero(is_unusual)
+        if is_zero[k] or not is_shown_often(series, stays[k])
+    ]
     if sum(b - a for a, b in spans) >= STUCK_S:
         yield stuck_fault(name, spans)
 
@@ -272,13 +297,17 @@ def is_shown_often(series: Series, span: tuple[float, float]) -> bool:
     return bool((table[others] == table[inside][0]).all(axis=1).mean() > 0.5)
 
 
-def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt: Array) -> Array:
+def _chances(
+    t: Array, x: Array, last: Index, length: Array, is_zero: Mask, asked: Index, felt: Array
+) -> Array:
     """Return the chance (S,) that any stay of a healthy slow signal x (N,) is as unusual as this
     stay. 1 for stays that are not tested.
 
     A stay is unusual if it is long, ends with a large change, and contradicts the inertial sensors.
-    last: rows at which the stays end. length: length of each stay while driving [s]. felt: chance
-    of each stay by the inertial sensors; NaN if they give no evidence.
+    last: rows at which the stays end. length: length of each stay while driving [s]. is_zero:
+    stays at zero speed. A vehicle may stand for any time, so only the sensors judge them. felt: how
+    much likelier the inertial sensors' signals are with a sound than with a stuck signal; NaN if
+    they give no evidence.
     """
     made = np.ones(len(length))
     if not len(asked):
@@ -287,7 +316,10 @@ def _chances(t: Array, x: Array, last: Index, length: Array, asked: Index, felt:
     changes = np.abs(np.diff(x))
     ends = last < len(changes)
     for k in asked:
-        others = steps > 0
+        if is_zero[k]:
+            made[k] = chance_of_any(len(asked) * float(felt[k]), 1, len(asked))
+            continue
+        others = (steps > 0) & ~is_zero
         others[k] = False
         factors = [number_as_long(steps[others], int(steps[k]))]
         if ends[k]:
