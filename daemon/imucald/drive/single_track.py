@@ -115,8 +115,10 @@ def sideways(
 
 
 def load_transfer(height: float, kappa: float, gradient: float, chassis: Chassis) -> float:
-    """Return the growth of the understeer gradient with dv/dt [rad/(m/s^2)^2]: the load of the axles
-    shifts by m h dv/dt / L, and the cornering stiffness of an axle goes with its load.
+    """Return the growth of the understeer gradient with dv/dt [rad/(m/s^2)^2].
+
+    Acceleration shifts the load m h dv/dt / L between the axles, and the cornering stiffness of an
+    axle goes with its load.
 
     height: height of the centre of gravity [m], times the growth of stiffness with load (1:
     proportional). kappa: slip of the rear axle per sideways acceleration [rad/(m/s^2)].

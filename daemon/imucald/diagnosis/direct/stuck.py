@@ -1,8 +1,9 @@
 """Find slow signals that are stuck: frames are received, but their value does not change.
 
 `motion.recorded_health` tests sensors, whose values always change because of noise. A slow signal
-is stuck if it stays at one value longer than it normally does, ends this stay with a large change,
-and contradicts the inertial sensors.
+is stuck if it stays at one value longer than it normally does and ends this stay with a large
+change. A speed is stuck only if the inertial sensors contradict it: on a motorway, a coarse speed
+stays at one value for minutes.
 
 A stay is a run of equal values. At constant speed, a signal stays at a value longer than in town,
 so the lengths of its stays have a heavier tail than a geometric distribution. The model of a stay
