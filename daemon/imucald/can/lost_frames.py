@@ -17,18 +17,22 @@ from imucald.core.arrays import Array
 MOST_CYCLES, MOST_S = 20, 2.0
 """If an interval is longer than both limits (cycles, seconds), the sender was off, and no frames
 count as lost. A recorder that is too slow leaves gaps of some tenths of a second."""
-TOGETHER = 128
-"""Number of frames with a common phase. A sender's clock does not drift by a part of a cycle in so
-few frames."""
+TOGETHER, FIRST = 128, 32
+"""Number of frames with a common phase, and the number of these that choose the cycles for a closer
+look. A sender's clock does not drift by a part of a cycle in so few frames."""
 FEWEST = 8
 """Smallest number of intervals that show a cycle."""
 MOST_ROWS = 8
 """Largest number of groups of frames for which all cycles are tried. The groups are spread over the
 recording."""
-CYCLES = np.exp(np.arange(-0.7, 0.012, 0.1 / TOGETHER))
-"""Tried cycles, divided by the mean interval. With lost frames, the cycle is shorter than the mean
-interval. If more than half of the frames are lost, the cycle is not known. The step is a fraction
-of the resolution of `TOGETHER` frames."""
+CYCLES = np.exp(np.arange(-0.7, 0.012, 0.1 / FIRST))[:, None, None]
+"""Tried cycles (C, 1, 1), divided by the mean interval. With lost frames, the cycle is shorter than
+the mean interval. If more than half of the frames are lost, the cycle is not known. The step is a
+fraction of the resolution of `FIRST` frames."""
+CLOSER = np.exp(np.arange(-0.1 / FIRST, 0.1 / FIRST, 0.1 / TOGETHER))[:, None, None]
+"""Cycles of the closer look, divided by a tried cycle."""
+LOOKS = 5
+"""Number of tried cycles that get a closer look."""
 NEAR, NEAR_SHARE = 0.25, 0.75
 """A message is cyclic if the share NEAR_SHARE of its frames comes at most NEAR cycles early or
 late. For frames at random times, this share is 0.5."""
@@ -81,14 +85,16 @@ def cycle_of(intervals: Array) -> Cycle | None:
     # A time stamp of a coarse clock is late by half a step on average.
     late = max(0.5 * _resolution(intervals), LEAST_LATE_S)
     tried = float(intervals.mean()) * CYCLES
-    best = float(tried[np.argmin([_length(few, _numbers(few, c), c, late) for c in tried])])
+    first = few[:, :FIRST]
+    lengths = _length(first, _numbers(first, tried), tried, late)
+    tried = (tried[np.argsort(lengths)[:LOOKS]] * CLOSER.T).reshape(-1, 1, 1)
+    best = float(tried[np.argmin(_length(few, _numbers(few, tried), tried, late))].item())
     for _ in range(2):
         best = _slope(t, _numbers(t, best))
     found = [(_numbers(t, best), best)]
     by_rows = np.broadcast_to(np.arange(float(count)), t.shape)
     found.append((by_rows, _slope(t, by_rows)))
-    lengths = [_length(t, numbers, cycle, late) for numbers, cycle in found]
-    numbers, cycle = found[int(np.argmin(lengths))]
+    numbers, cycle = min(found, key=lambda x: float(_length(t, x[0], x[1], late)))
     if cycle <= 0.0 or np.mean(np.abs(_errors(t, numbers, cycle)) < NEAR * cycle) < NEAR_SHARE:
         return None
     steps = np.diff(numbers, axis=1).ravel()
@@ -101,29 +107,30 @@ def _resolution(intervals: Array) -> float:
     return float(np.diff(seen).min())
 
 
-def _numbers(t: Array, cycle: float) -> Array:
-    """Return the numbers of frames at times t (R, N) [s], by the common phase of each row.
+def _numbers(t: Array, cycle: float | Array) -> Array:
+    """Return the numbers of frames at times t (R, N) [s], by the common phase of each row. cycle:
+    one cycle [s], or (C, 1, 1) for numbers (C, R, N).
 
     Each frame has a larger number than the frame before. If a time stamp contradicts this, it was
     either late, or the time stamps before it were early; the smaller error is chosen in each row.
     """
-    rows = np.arange(t.shape[1])
+    rows = np.arange(t.shape[-1])
     turns = t / cycle
-    phase = np.angle(np.exp(2j * np.pi * turns).sum(axis=1, keepdims=True)) / (2.0 * np.pi)
+    phase = np.angle(np.exp(2j * np.pi * turns).sum(axis=-1, keepdims=True)) / (2.0 * np.pi)
     lost = np.round(turns - phase) - rows
-    early = np.maximum.accumulate(lost, axis=1)
-    late = np.minimum.accumulate(lost[:, ::-1], axis=1)[:, ::-1]
-    errors = (np.abs(_centred(turns - rows - x)).sum(axis=1) for x in (early, late))
-    is_late = np.greater(*errors)[:, None]
+    early = np.maximum.accumulate(lost, axis=-1)
+    late = np.minimum.accumulate(lost[..., ::-1], axis=-1)[..., ::-1]
+    errors = (np.abs(_centred(turns - rows - x)).sum(axis=-1) for x in (early, late))
+    is_late = np.greater(*errors)[..., None]
     return np.asarray(rows + np.where(is_late, late, early))
 
 
 def _centred(x: Array) -> Array:
-    return np.asarray(x - x.mean(axis=1, keepdims=True))
+    return np.asarray(x - x.mean(axis=-1, keepdims=True))
 
 
-def _errors(t: Array, numbers: Array, cycle: float) -> Array:
-    """Return the errors (R, N) of times that are predicted from the numbers [s]."""
+def _errors(t: Array, numbers: Array, cycle: float | Array) -> Array:
+    """Return the errors (..., R, N) of times that are predicted from the numbers [s]."""
     return _centred(t - cycle * numbers)
 
 
@@ -133,12 +140,15 @@ def _slope(t: Array, numbers: Array) -> float:
     return float((_centred(t) * centred).sum() / (centred**2).sum())
 
 
-def _length(t: Array, numbers: Array, cycle: float, late: float) -> float:
-    """Return the length of the description [nats per frame]. late: accuracy of a time stamp [s]."""
-    received = numbers[:, 1:].size / float((numbers[:, -1] - numbers[:, 0]).sum())
-    lost = 1.0 - received
-    of_numbers = -np.log(received) - lost / received * np.log(max(lost, 1e-12))
-    return float(np.log(np.abs(_errors(t, numbers, cycle)) + late).mean() + of_numbers)
+def _length(t: Array, numbers: Array, cycle: float | Array, late: float) -> Array:
+    """Return the length of the description [nats per frame], of each cycle. late: accuracy of a
+    time stamp [s]."""
+    sent = (numbers[..., -1] - numbers[..., 0]).sum(axis=-1)
+    received = t[:, 1:].size / sent
+    lost = np.maximum(1.0 - received, 1e-12)
+    of_numbers = -np.log(received) - lost / received * np.log(lost)
+    errors = np.log(np.abs(_errors(t, numbers, cycle)) + late)
+    return np.asarray(errors.mean(axis=(-2, -1)) + of_numbers)
 
 
 def dropping_recorder(shares: Sequence[float | None]) -> str | None:
