@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hidden import Effect, hidden_drive
 from imucald.core.samples import GRAVITY
+from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.fit.intervals import estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.search.state import State
@@ -18,6 +20,7 @@ from imucald.drive.single_track import (
     single_track,
     slip_delay,
 )
+from imucald.model.model import model_from_mapping
 from imucald.model.vehicle import Chassis
 from imucald.simulation import random_model, simulate
 
@@ -108,3 +111,11 @@ def test_the_steering_of_our_own_simulator_is_as_late_as_its_model_says(seed):
     problem = State([drive_of(drive.samples)], model, model, {}).evaluated()
     e = estimate(problem, Hypothesis("", ("steering.delay_s",)), 1)
     assert abs(e.value[0]) < 0.02
+
+
+@pytest.mark.slow
+def test_a_body_that_rolls_more_than_its_file_says_is_found_though_its_lag_is_another():
+    """A car of the second generator: with the lag of the file, its roll was held for the road's."""
+    made = hidden_drive(4_420_007, (Effect("body_roll", "large"),), 12.0)
+    found = diagnose([made.samples], model_from_mapping(dict(made.model), "baseline"))
+    assert [cause.name for cause in found.causes] == ["body_roll"]

@@ -153,6 +153,8 @@ _ROWS: tuple[Parameter, ...] = (
          0.015, *_IMU),
     _one("suspension.roll_gradient", "rad/(m/s^2)", 0.0025,
          "superelevation of 2 % at up to 8 m/s^2 looks like body roll", -0.008, 0.03, *_IMU),
+    _one("_suspension.roll_lag", "s", 0.05, "2 zeta/omega of 1.2 to 2.2 Hz and 0.2 to 0.5 of"
+         " critical damping: 0.03 to 0.13 s", -0.1, 0.2, *_IMU),
     _one("_road.superelevation", "rad/(m/s^2)", 0.03,
          "a curve's superelevation carries up to 0.3 of the sideways force", -0.02, 0.06, *_IMU),
     _one("_steering.variable_ratio", "1/rad^2", 0.4, "racks of variable ratio: 10 % at 0.5 rad"

@@ -210,7 +210,7 @@ class VehicleMotion:
         roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
         squat = s.squat_gradient * float(s.squat_dive) + c.get("suspension.squat_gradient", 0.0)
         dive = s.dive_gradient * float(s.squat_dive) + c.get("suspension.dive_gradient", 0.0)
-        late = s.roll_damping / (np.pi * s.roll_frequency_hz)
+        late = s.roll_damping / (np.pi * s.roll_frequency_hz) + c.get("_suspension.roll_lag", 0.0)
         superelevation = c.get("_road.superelevation", 0.0)
         rolling = once(eq.rolling, across, roll, superelevation, t, late)
         found["gyro_x"] = self._apart(self.measured[0], rolling)
