@@ -42,9 +42,3 @@ def test_a_command_on_a_page_names_no_seed_that_was_tuned_on(command: str) -> No
         hours = option(words, ("--hours",)) or 0
         seeds = [*seeds, *range(first + QUIET_SEEDS, first + QUIET_SEEDS + hours)]
     assert tuned_on(seeds) == []
-
-
-def test_a_table_names_the_seeds_of_its_command() -> None:
-    page = (ROOT / "docs" / "integrity.md").read_text()
-    first = int(re.findall(r"integrity --first (\d+)", page)[0])
-    assert f"from {first}; without a fault from {first + QUIET_SEEDS}" in page
