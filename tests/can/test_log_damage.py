@@ -42,10 +42,11 @@ def check_against_judge(path: Path, lines: list[bytes]) -> LogReader:
     whole = [v for v in verdicts if isinstance(v, Frame)]
     believed = without_damaged_stamps(whole)
     assert frames == believed
-    assert reader.frames_read == sum(v is not None for v in verdicts)
+    damaged = len(whole) - len(believed)  # rejected by their stamps
+    assert reader.frames_read == sum(v is not None for v in verdicts) - damaged
     assert reader.ignored == Counter(f"{v}_frame" for v in verdicts if isinstance(v, str))
     blank = sum(not line.strip() for line in path.read_bytes().split(b"\n"))
-    bad = sum(v is None for v in verdicts) - blank + len(whole) - len(believed)
+    bad = sum(v is None for v in verdicts) - blank + damaged
     assert sum(reader.rejected.values()) == bad
     assert set(reader.rejected) <= set(REASONS)
     # Lines in a row that have nothing of a frame's are one problem.

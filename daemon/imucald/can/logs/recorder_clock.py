@@ -147,6 +147,7 @@ class _DamagedStamps:
                 f"{self._log}: the time stamp {t[k + 1]:.6f} is {t[k + 1] - t[k]:+.1f} s from "
                 "those of the frames before and after it",
             )
+        self._statistics.frames_read -= int(np.count_nonzero(is_wrong))  # they were counted as read
         self._open = [frames.take(slice(decided, len(frames)))] if left else []
         self._before, self._is_alone_before = float(t[decided]), bool(is_alone[decided])
         return frames.take(slice(0, decided)).take(~is_wrong) if is_far.any() else frames
