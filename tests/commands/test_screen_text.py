@@ -101,7 +101,7 @@ def test_check_prints_a_broken_name_from_a_database_on_its_own_line(
             "in_si": {"min": 9.8, "mean": 9.8, "max": 9.8},
         }],
         "findings": [{"level": "note", "quantity": DAMAGED, "text": "no frame came"}],
-        "output": [], "usable": True, "warnings": 0,
+        "output": [], "usable": True, "warnings": 0, "used_for_mount_s": 1.0,
     }  # fmt: skip
     out = io.StringIO()
     monkeypatch.setattr(sys, "stdout", out)

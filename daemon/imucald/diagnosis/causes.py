@@ -161,8 +161,8 @@ _ROWS: tuple[Parameter, ...] = (
          " of the road wheels; angles used in place of tangents: 1/3", -2.0, 2.0, "steering"),
     _one("_tyre.rear_slip", "s^2/m", 0.003, "m l_f/(L C_r), 0.002 to 0.006 for cars", -0.01,
          0.01, "gyro"),
-    _one("_tyre.loaded_height", "m", 0.3, "height of the centre of gravity 0.45 to 0.7 m, times"
-         " the growth of cornering stiffness with load, 0.3 to 0.9", -0.4, 0.6, "gyro"),
+    _one("_tyre.loaded_height", "m", 0.4, "height of the centre of gravity 0.45 to 0.7 m, times"
+         " the growth of cornering stiffness with load, 0.3 to 0.9", -0.1, 0.9, "gyro"),
     _one("_speed.driven_slip", "s^2/m", 0.004, "driven wheels' slip stiffness 20 to 30", -0.02,
          0.02, "accel"),
 )  # fmt: skip

@@ -25,9 +25,6 @@ SLOW_MPS = 2.5
 """Speed [m/s] below which play and tyres determine the yaw rate, and not the steering angle."""
 RELAXATION_M = 0.4
 """Distance over which the side force of a tyre builds up [m]: 0.2 to 0.6 m in cars."""
-LOADED_M = 0.3
-"""Height of the centre of gravity, times the growth of cornering stiffness with load [m]: 0.45 to
-0.7 m, times 0.3 to 0.9."""
 LEVEL_MPS = 4.0
 """Spacing of the speeds at which the model is solved [m/s]. Solutions are interpolated between
 these speeds."""

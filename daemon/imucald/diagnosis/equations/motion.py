@@ -91,7 +91,7 @@ class VehicleMotion:
             lead = self.v * self.held(self.slopes)
             self.slopes = self.slopes - driven * self._mean_slopes(np.gradient(lead, STEP_S))
         self.kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
-        self.height = tyres.LOADED_M + changes.get("_tyre.loaded_height", 0.0)
+        self.height = changes.get("_tyre.loaded_height", 0.0)
         self.ahead = once(eq.slow, self.held(self.slopes))
         self.v_y = once(
             tyres.sideways, self.v, self.r, reader.t, self.kappa, self.ahead, self.height,
