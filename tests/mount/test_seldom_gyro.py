@@ -125,7 +125,7 @@ def turns_alone(noise: float, is_stated: bool) -> int:
     rng, alone, found = np.random.default_rng(6), TurnedAlone(), 0
     for _ in range(560):
         rate, walk = shaken(rng, noise)
-        by = FORCE.beside(float(walk[2, 2])) if is_stated else FORCE
+        by = FORCE.with_gyro_errors(float(walk[2, 2])) if is_stated else FORCE
         ok = np.ones(BLOCK_TICKS, dtype=bool)
         found += alone.take_rates(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by) != 0.0
     return found
@@ -141,6 +141,6 @@ def test_a_hand_that_turns_a_sensor_is_seen_beside_a_little_shaking() -> None:
     rate, walk = shaken(rng, 0.02)
     t = 0.1 * np.arange(BLOCK_TICKS)
     rate[:, 2] += np.where((t > 2.9) & (t < 3.9), math.radians(30.0), 0.0)
-    by, ok = FORCE.beside(float(walk[2, 2])), np.ones(BLOCK_TICKS, dtype=bool)
+    by, ok = FORCE.with_gyro_errors(float(walk[2, 2])), np.ones(BLOCK_TICKS, dtype=bool)
     turned = alone.take_rates(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by)
     assert math.degrees(turned) == pytest.approx(30.0, abs=5.0)

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.terminal import PIPED_WIDTH, plain_console
-from imucald.config_check.health import MOST_SHARE
+from imucald.config_check.health import is_mostly_unused
 from imucald.core.text import counted, one_line
 
 LONG_QUANTITY, LONG_SOURCE = 18, 12
@@ -42,7 +42,7 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     ids = ", ".join(f"{row['id']} {row['frame']}" for row in report["output"])
     console.print(f"imucald would send: {ids}")
     console.print(_verdict(report, strict))
-    if report["usable"] and report["used_for_mount_s"] < MOST_SHARE * report["duration_s"]:
+    if report["usable"] and is_mostly_unused(report["used_for_mount_s"], report["duration_s"]):
         used = f"{report['used_for_mount_s']:.0f} of {report['duration_s']:.0f} s"
         text = f"But only {used} of this log could be used for the mount."
         console.print(Text(text, style="bold yellow"))

@@ -133,9 +133,14 @@ def left_out_finding(
     """Report the time that the calibration ignores. duration: duration of the log [s].
     is_explained: an error says why, so most of the log is not a warning of its own."""
     if words := left_out_words({"not_learnt_from": left_out}):
-        is_most = duration - used_s(left_out, duration) > MOST_SHARE * duration
+        is_most = is_mostly_unused(used_s(left_out, duration), duration)
         text = f"of {duration:.0f} s, {words} could not be used for the mount"
         yield Finding("warning" if is_most and not is_explained else "note", "log", text)
+
+
+def is_mostly_unused(used: float, duration: float) -> bool:
+    """Return whether most of a log of this duration [s] could not be used. used: as `used_s`."""
+    return duration - used > MOST_SHARE * duration
 
 
 def used_s(left_out: Sequence[Mapping[str, Any]], duration: float) -> float:

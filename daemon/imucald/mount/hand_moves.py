@@ -54,7 +54,7 @@ class Witness(Struct, frozen=True):
     least: float
     gain_share: float
 
-    def beside(self, walk: float, zero_std: float = 0.0) -> Witness:
+    def with_gyro_errors(self, walk: float, zero_std: float = 0.0) -> Witness:
         """Return these limits for a gyroscope with errors of its own.
 
         walk: variance of the random walk of its angle per second [rad^2/s]. zero_std: deviation of
@@ -206,7 +206,7 @@ class HandMoves:
         else:
             ok = p.ok_force & p.ok_speed & (np.abs(p.speed) > MIN_SPEED)
             vehicle, by = lateral / np.where(ok, p.speed, 1.0), FORCE
-        by = by.beside(float(R[2] @ p.rate_walk @ R[2]), p.turn_zero_std)
+        by = by.with_gyro_errors(float(R[2] @ p.rate_walk @ R[2]), p.turn_zero_std)
         self._alone.take_zero(float(R[2] @ p.gyro_bias))
         turned = self._alone.take_rates(turn_rate, vehicle, p.ok_rate & ok, by)
         if turned == 0.0:
