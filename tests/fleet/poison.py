@@ -6,6 +6,7 @@ import ctypes
 import os
 import signal
 import stat
+import tempfile
 import time
 from pathlib import Path
 
@@ -41,6 +42,10 @@ def _act(act: str, path: Path) -> Outcome:
         raise ValueError("not foreseen")
     elif act == "loop":
         path.with_suffix(".pid").write_text(str(os.getpid()))
+        while True:
+            pass
+    elif act == "fill and loop":
+        Path(tempfile.mkstemp(prefix="fetched-")[1]).write_bytes(bytes(2**20))
         while True:
             pass
     elif act.startswith("sleep"):

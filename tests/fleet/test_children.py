@@ -6,7 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import can
@@ -86,6 +87,34 @@ def test_an_error_that_nobody_foresaw_is_a_bug_with_its_traceback(
     outcome = run(poisoned(tmp_path, "raise"), bundle)
     assert "ValueError: not foreseen" in outcome.message
     assert "poison.py" in outcome.traceback
+
+
+@pytest.mark.parametrize("act", ["killed", "fill and loop"])
+def test_a_killed_log_leaves_no_temporary_file(
+    tmp_path: Path, bundle: str, act: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    template = Template(FUNCTION)
+    outcome = template.run(
+        Task(str(poisoned(tmp_path, act)), bundle, limits=LIMITS, function=FUNCTION)
+    )
+    template.close()
+    assert outcome.kind in ("memory", "timeout")
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_worker_process_removes_its_configurations_when_it_ends(
+    tmp_path: Path, bundle: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    with ProcessPoolExecutor(1, get_context("forkserver")) as pool:
+        pool.submit(unpack, {bundle: bundle_of(CONFIG)}).result()
+        left = [path.name for path in (tmp_path / "temporary").glob("imucald-*")]
+        assert len(left) == 1, "the worker holds its configurations"
+    assert list((tmp_path / "temporary").glob("imucald-*")) == []
 
 
 def test_good_logs_beside_poison_are_not_harmed(tmp_path: Path, bundle: str, log: Path) -> None:

@@ -8,7 +8,6 @@ identifies the configuration in the results of a drive.
 
 from __future__ import annotations
 
-import atexit
 import dataclasses
 import hashlib
 import os
@@ -17,6 +16,7 @@ import tempfile
 import threading
 from collections.abc import Iterable, Mapping
 from functools import cache
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 import msgspec
@@ -83,7 +83,8 @@ def unpack(bundles: Mapping[str, Bundle]) -> None:
     with _Folder.lock:
         if _Folder.path is None:
             _Folder.path = Path(tempfile.mkdtemp(prefix="imucald-fleet-"))
-            atexit.register(shutil.rmtree, _Folder.path, ignore_errors=True)
+            # atexit would not do: processes of multiprocessing end without it
+            Finalize(None, shutil.rmtree, (_Folder.path, True), exitpriority=0)
             os.environ[FOLDER_VARIABLE] = str(_Folder.path)
     for name, bundle in bundles.items():
         target = _Folder.path / name

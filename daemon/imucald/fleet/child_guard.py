@@ -16,6 +16,7 @@ import select
 import signal
 import socket
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
@@ -57,6 +58,13 @@ def _whole(asked: socket.socket) -> bytes:
 
 
 def _guarded(task: Task, asked: socket.socket) -> Outcome:
+    """Run the task in a child whose temporary files are removed even if the child is killed: a
+    fetched log may have gigabytes."""
+    with tempfile.TemporaryDirectory(prefix="imucald-child-", ignore_cleanup_errors=True) as folder:
+        return _limited(task, asked, folder)
+
+
+def _limited(task: Task, asked: socket.socket, folder: str) -> Outcome:
     began = time.monotonic()
     words = os.memfd_create("last words")
     answers, answer = os.pipe()
@@ -65,6 +73,7 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
     if child == 0:
         os.close(answers)
         asked.close()
+        tempfile.tempdir = folder
         _become_child(task, keeper, answer, words)
     os.close(answer)
     with contextlib.suppress(OSError):
@@ -98,7 +107,7 @@ def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tupl
                 answer += block
             elif event & (select.POLLHUP | select.POLLERR):  # nobody waits for the answer
                 os.killpg(child, signal.SIGKILL)
-                os._exit(1)
+                raise SystemExit(1)
     return b"", False
 
 
