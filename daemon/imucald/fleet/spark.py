@@ -1,9 +1,9 @@
 """Compute the rows of `drives` in Spark, for users with a Spark cluster and without Dask.
 
-fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml") paths =
-spark.createDataFrame([("/lake/raw/car-1/1.mf4",)], "source STRING") rows =
-paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
-rows.write.parquet("/lake/drives")
+    fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml")
+    paths = spark.createDataFrame([("/lake/raw/car-1/1.mf4",)], "source STRING")
+    rows = paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
+    rows.write.parquet("/lake/drives")
 
 The rows have the columns of `drives`, and the additional columns source, outcome and message. Set
 the option `spark.sql.session.timeZone` to `UTC`. Spark uses the same function and the same kind of

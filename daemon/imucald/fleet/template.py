@@ -1,7 +1,7 @@
 """The template process. The template process imports all modules and waits. Child processes are
 forked from the template process.
 
-python -m imucald.fleet.template DESCRIPTOR FUNCTION
+    python -m imucald.fleet.template DESCRIPTOR FUNCTION
 
 A forked copy starts in milliseconds; a new interpreter takes a third of a second. The template has
 one thread and touches no data, so each copy starts in a clean state, independent of earlier logs.
