@@ -6,7 +6,10 @@ are processed one by one in Python. Tests compare the kernels with the Python ve
 builds the library from `core/kernels`, and only this module loads it. The Python version of each
 kernel stands next to the call::
 
-kernels = compiled.kernels if kernels is not None: kernels.candump(...) return ...
+    kernels = compiled.kernels
+    if kernels is not None:
+        kernels.candump(...)
+        return ...
 
 `kernels` is None in four cases: the library is missing, it cannot be loaded, it was built from
 sources that differ from the present sources, or the environment has IMUCALD_COMPILED=0.
