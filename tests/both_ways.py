@@ -65,15 +65,3 @@ def assert_same(one: Any, other: Any, where: str) -> None:
         assert one == other, f"{where}: {one} {other}"
     elif hasattr(one, "__dict__"):
         assert_same(vars(one), vars(other), where)
-
-
-def spiked(
-    rng: np.random.Generator, x: np.ndarray, share: float, finite: bool = True
-) -> np.ndarray:
-    """Some numbers exchanged for others than are usual.
-
-    finite: none is larger than what is taken of a sample, or reaches the estimator.
-    """
-    odd = [1e6, -1e6, 1e3, 1e-6, 5e-324, 1e-300, 0.0, -0.0]
-    odd += [] if finite else [1e300, -1e300, np.nan, np.inf, -np.inf]
-    return np.where(rng.random(x.shape) < share, rng.choice(np.array(odd), x.shape), x)

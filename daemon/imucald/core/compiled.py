@@ -1,10 +1,10 @@
 """The compiled part: loops in C. The compiled part exists if a C compiler was available when the
 package was installed.
 
-Without the compiled part, all functions give bit-identical results, but slowly: frames and samples
-are processed one by one in Python. Tests compare the kernels with the Python version. `setup.py`
-builds the library from `core/kernels`, and only this module loads it. The Python version of each
-kernel stands next to the call::
+Without the compiled part, all functions give bit-identical results, but slowly: lines of candump
+and protected frames are processed one by one in Python. Tests compare the kernels with the Python
+version. `setup.py` builds the library from `core/kernels`, and only this module loads it. The
+Python version of each kernel stands next to the call::
 
     kernels = compiled.kernels
     if kernels is not None:
@@ -48,17 +48,11 @@ class Kernels:
     """
 
     candump: Kernel
-    hop_figures: Kernel
     judge_frames: Kernel
-    rail_hops: Kernel
-    tick_sums: Kernel
 
     ARGUMENTS: Final = {
         "candump": "oi" + 16 * "o",
-        "hop_figures": 13 * "o",
         "judge_frames": "ooood" + 7 * "o",
-        "rail_hops": "oi" + 11 * "o",
-        "tick_sums": "oooido",
     }
 
     def __init__(self, library: ctypes.PyDLL) -> None:

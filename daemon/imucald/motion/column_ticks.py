@@ -8,8 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core import compiled
-from imucald.core.samples import Samples
+from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import (
     ACCEL,
     BAD,
@@ -20,9 +19,7 @@ from imucald.motion.ticks import (
     TICK_RATE,
     WHEEL_SPREAD,
     T,
-    TickAccumulator,
     empty_rows,
-    tick_index,
 )
 
 
@@ -38,12 +35,12 @@ def ticks_from_samples(
     were rejected for their values. The result is bit-equal to the result of `TickAccumulator` for
     the same samples.
     """
-    n = stop - first
-    if n <= 0:
-        return empty_rows(0)
-    out = _by_kernel(samples, first, n)
-    if out is None:
-        out = _one_by_one(samples, first, n)
+    n = max(stop - first, 0)
+    out = empty_rows(n)
+    out[:, T] = (np.arange(first, first + n) + 1) / TICK_RATE
+    for channel, series in samples.items():
+        if channel in _COLUMNS or channel in LASTS:
+            _fill(out, channel, series, first)
     for channel, times in (rejected or {}).items():
         if channel in BAD:
             index = np.floor(times * TICK_RATE).astype(np.int64) - first
@@ -52,54 +49,45 @@ def ticks_from_samples(
     return out
 
 
-_PLACES: Mapping[str, NDArray[np.int64]] = {
-    name: np.array(columns)
-    for name, columns in {
-        "accel": (ACCEL.n, ACCEL.x, ACCEL.xx, ACCEL.min_x, ACCEL.max_x, ACCEL.age, -1),
-        "gyro": (GYRO.n, GYRO.x, -1, -1, -1, GYRO.age, -1),
-        "speed": (SPEED.n, SPEED.mean, -1, -1, -1, SPEED.age, -1),
-        "wheel_speeds": (WHEEL_SPREAD.n, WHEEL_SPREAD.mean, -1, -1, -1, -1, -1),
-        **{name: (*columns, -1, -1, -1, -1, -1) for name, columns in MEANS.items()},
-        **{name: (-1, -1, -1, -1, -1, -1, column) for name, column in LASTS.items()},
-    }.items()
+_COLUMNS: Mapping[str, tuple[int, int, int | None]] = {
+    "accel": (ACCEL.n, ACCEL.x, ACCEL.age),
+    "gyro": (GYRO.n, GYRO.x, GYRO.age),
+    "speed": (SPEED.n, SPEED.mean, SPEED.age),
+    "wheel_speeds": (*WHEEL_SPREAD, None),
+    **{name: (*columns, None) for name, columns in MEANS.items()},
 }
-"""For each channel, the columns of count, first mean, first mean square, first smallest value,
-first largest value, age, and last value; -1: no such column.
-"""
+"""For each channel, the columns of count, first mean, and age."""
 
 
-def _rows(first: int, n: int) -> NDArray[np.float64]:
-    rows = empty_rows(n)
-    rows[:, T] = (np.arange(first, first + n) + 1) / TICK_RATE
-    return rows
+def _fill(out: NDArray[np.float64], channel: str, series: Series, first: int) -> None:
+    """Write the samples of a channel to rows of ticks, the first of number `first`.
 
+    `np.bincount` adds in the order of the samples, as `TickAccumulator` does.
+    """
+    index = np.floor(series.t * TICK_RATE).astype(np.int64) - first
+    part = slice(*np.searchsorted(index, (0, len(out))))
+    index, t, values = index[part], series.t[part], series.values[part]
+    if not len(index):
+        return
+    count = np.bincount(index, minlength=len(out))
+    some = np.flatnonzero(count)
+    begin, n = (np.cumsum(count) - count)[some], count[some]
+    if channel in LASTS:
+        out[some, LASTS[channel]] = values[begin + n - 1]
+        return
+    if channel == "wheel_speeds":
+        values = values.max(axis=1) - values.min(axis=1)
 
-def _by_kernel(samples: Samples, first: int, n: int) -> NDArray[np.float64] | None:
-    """Return the rows from the compiled code; None if it is missing or times decrease."""
-    if compiled.kernels is None:
-        return None
-    out = _rows(first, n)
-    for channel, series in samples.items():
-        if channel not in _PLACES:
-            continue
-        values, places = series.values, _PLACES[channel]
-        if channel == "wheel_speeds":
-            values = values.max(axis=1) - values.min(axis=1)
-        values = values[:, None] if values.ndim == 1 else values[:, :3]
-        if compiled.kernels.tick_sums(series.t, values, places, first, TICK_RATE, out):
-            return None
-    return out
+    def mean(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(index, x, len(out))[some] / n
 
-
-def _one_by_one(samples: Samples, first: int, n: int) -> NDArray[np.float64]:
-    ticks: dict[int, TickAccumulator] = {}
-    for channel, series in samples.items():
-        values = series.values[:, None] if series.values.ndim == 1 else series.values
-        for t, sample in zip(series.t.tolist(), values.tolist(), strict=True):
-            k = tick_index(t)
-            if first <= k < first + n:
-                ticks.setdefault(k, TickAccumulator()).add_sample(channel, t, sample)
-    out = _rows(first, n)
-    for k, tick in ticks.items():
-        out[k - first] = tick.close(k)
-    return out
+    at_count, at_mean, at_age = _COLUMNS[channel]
+    out[some, at_count] = n
+    for axis, x in enumerate(values.reshape(len(t), -1).T):
+        out[some, at_mean + axis] = mean(x)
+        if channel == "accel":
+            out[some, ACCEL.xx + axis] = mean(x * x)
+            out[some, ACCEL.min_x + axis] = np.minimum.reduceat(x, begin)
+            out[some, ACCEL.max_x + axis] = np.maximum.reduceat(x, begin)
+    if at_age is not None:
+        out[some, at_age] = out[some, T] - mean(t)

@@ -4,21 +4,16 @@ axis, which show the sensor's health.
 The statistics are counts and comparisons of single samples, without smoothing. Examples are runs of
 equal values, the largest value, and the number of samples with the largest value. In live
 operation, a hop is computed when it is over. In replay, many hops are computed together. Live
-operation and replay use `hop_rows`, so the results are bit-equal. The compiled code and
-`_count_axis` compute the same numbers.
+operation and replay use `hop_rows`, so the results are bit-equal.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.core import compiled
 from imucald.core.arrays import Array, Index
 from imucald.motion.ticks import TICK_S
 
@@ -91,25 +86,20 @@ class AxisHops:
     """Statistics of the hops of one axis, as lists by hop (half a second).
 
     level, step: as in `HopRows`. entry: size of the change at which the run at the end of the hop
-    began, valid only for a run that began in the same hop. tops: `top` of `HopRows`, first of the
-    upper side, then of the lower side. counts: count, ended, longest and run of each hop. in_rows:
-    top, on_top, step and level as contiguous arrays. runs: for each hop, the number of runs of
-    equal values in motion that ended before the hop, and the length of the longest of these runs;
-    the caller appends an entry for each hop.
+    began, valid only for a run that began in the same hop. tops, on_tops: `top` and `on_top` of
+    `HopRows`, first of the upper side, then of the lower side. counts: count, ended, longest and
+    run of each hop. runs: for each hop, the number of runs of equal values in motion that ended
+    before the hop, and the length of the longest of these runs; the caller appends an entry for
+    each hop.
     """
 
     def __init__(self, axis: int, rows: HopRows) -> None:
         self.axis, self.rows = axis, rows
         self.runs: list[tuple[int, int]] = []
-        level, step, top = (
-            rows.level[axis],
-            rows.step[axis],
-            np.ascontiguousarray(rows.top[:, axis]),
-        )
-        self.in_rows = top, np.ascontiguousarray(rows.on_top[:, axis]), step, level
-        self.level: list[float] = level.tolist()
-        self.step: list[float] = step.tolist()
-        self.tops: list[list[float]] = top.tolist()
+        self.level: list[float] = rows.level[axis].tolist()
+        self.step: list[float] = rows.step[axis].tolist()
+        self.tops: list[list[float]] = rows.top[:, axis].tolist()
+        self.on_tops: list[list[int]] = rows.on_top[:, axis].tolist()
         counts = rows.count, rows.ended[axis], rows.longest[axis], rows.run[axis]
         self.counts = list(zip(*(x.tolist() for x in counts), strict=True))
         x = rows.samples[axis]
@@ -130,56 +120,30 @@ def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     """Return the statistics of hops 0 .. hops-1, and update `carry` to the end of the last hop
     (half a second).
 
-    values: (N, axes) samples. hop: (N,) hop number of each sample, in ascending order.
+    values: (N, axes) samples, N > 0. hop: (N,) hop number of each sample, in ascending order.
     """
     edges = np.searchsorted(hop, np.arange(hops + 1))
-    v = np.ascontiguousarray(values.T)
-    shape = len(v), hops
+    v, count = np.ascontiguousarray(values.T), np.diff(edges)
+    shape, per = (len(v), hops), np.maximum(count, 1)
+    some = np.flatnonzero(count)
     mean, level, step = np.empty((3, *shape))
-    ended, longest, run = np.empty((3, *shape), np.int64)
-    top, on_top = np.empty((SIDES, *shape)), np.empty((SIDES, *shape), np.int64)
-    figures = mean, level, step, ended, longest, run, top, on_top
+    ended, longest, run = np.zeros((3, *shape), np.int64)
+    top, on_top = np.full((SIDES, *shape), -math.inf), np.zeros((SIDES, *shape), np.int64)
     before = carry.last
-    carry.last, carry.run, carry.step = before.copy(), carry.run.copy(), carry.step.copy()
-    if compiled.kernels is not None:
-        kernel = compiled.kernels.hop_figures
-        kernel(v, edges, carry.last, carry.run, carry.step, *figures)
-    else:
-        for axis, column in enumerate(v.tolist()):
-            _count_axis(column, edges.tolist(), carry, axis, figures)
-    return HopRows(np.diff(edges), *figures, v, edges, before)
-
-
-def _count_axis(
-    column: list[float],
-    edges: list[int],
-    carry: Carry,
-    axis: int,
-    figures: tuple[NDArray[Any], ...],
-) -> None:
-    """Fill the statistics of one axis, sample by sample. edges: index of the first sample of each
-    hop (half a second)."""
-    mean, level, steps, ended, longest, runs, top, on_top = figures
-    last, run, step = float(carry.last[axis]), int(carry.run[axis]), float(carry.step[axis])
-    for h, (begin, end) in enumerate(pairwise(edges)):
-        own = column[begin:end]
-        total = changes = 0.0
-        over = most = 0
-        for x in own:
-            total += x
-            if x == last:
-                run += 1
-                continue
-            change = abs(x - last)
-            if change > 0.0:  # NaN before the first of all
-                changes += change
-                step = min(step, change)
-            over += 1
-            most = max(most, run)
-            run, last = 1, x
-        per = len(own) or 1
-        high, low = max(own, default=-math.inf), min(own, default=math.inf)
-        mean[axis, h], level[axis, h], steps[axis, h] = total / per, changes / per, step
-        ended[axis, h], longest[axis, h], runs[axis, h] = over, most, run
-        top[:, axis, h], on_top[:, axis, h] = (high, -low), (own.count(high), own.count(low))
-    carry.last[axis], carry.run[axis], carry.step[axis] = last, run, step
+    for axis, x in enumerate(v):
+        change = np.abs(np.diff(x, prepend=before[axis]))  # NaN before the first of all
+        size = np.where(change > 0.0, change, 0.0)
+        mean[axis] = np.bincount(hop, x, hops) / per
+        level[axis] = np.bincount(hop, size, hops) / per
+        least = np.minimum.accumulate(np.where(size > 0.0, size, math.inf))
+        step[axis] = np.minimum(np.append(math.inf, least)[edges[1:]], carry.step[axis])
+        new = np.flatnonzero(change != 0.0)
+        ended[axis] = np.bincount(hop[new], minlength=hops)
+        begun = np.append(-carry.run[axis], new)
+        np.maximum.at(longest[axis], hop[new], np.diff(begun))
+        run[axis] = edges[1:] - begun[np.searchsorted(new, edges[1:])]
+        for side, sided in enumerate((x, -x)):
+            top[side, axis, some] = np.maximum.reduceat(sided, edges[some])
+            on_top[side, axis] = np.bincount(hop[sided == top[side, axis, hop]], minlength=hops)
+    carry.last, carry.run, carry.step = v[:, -1].copy(), run[:, -1].copy(), step[:, -1].copy()
+    return HopRows(count, mean, level, step, ended, longest, run, top, on_top, v, edges, before)

@@ -7,22 +7,18 @@ are counted only once.
 For each side of an axis, the extremes that no later value has exceeded are stored, from high to
 low. The number of samples on a value, and one and two steps below this value, shows whether the
 value is the end of a range. A whole recording shows more of a rail than the samples so far: see
-`recorded_health`. The compiled code (`core/kernels/rails.c`) processes successive hops up to the
-first hop (half a second) that needs further tests. `rail_hops` does the same.
+`recorded_health`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import deque
 
 import numpy as np
 from msgspec import Struct, field
 
-from imucald.core import compiled
-from imucald.core.arrays import Array, Flags, Index
-from imucald.core.compiled import Kernel
-from imucald.motion.hops import SIDES, AxisHops
+from imucald.motion.hops import AxisHops
 from imucald.motion.sensor_judges import rate_of
 
 LONG_STAY = 4
@@ -153,89 +149,20 @@ def more_often(stays: int, of: int, rate: float) -> float:
     return of * (share * (math.log(share) + rate) + left)
 
 
-def rail_hops(
-    hops: Index,
-    begin: int,
-    moving: Flags,
-    tops: Array,
-    on_tops: Index,
-    steps: Array,
-    levels: Array,
-    rows: Array,
-    depth: Index,
-    usual: Array,
-    count: Index,
-    recent: Array,
-    found: Array,
-) -> int:
-    """Do the same as `core/kernels/rails.c`, where the arguments are documented."""
-    found[:] = (0.0,) * SIDES + (-math.inf,) * SIDES + (math.nan,) * SIDES
-    weighed, largest, dropped = found.reshape(3, SIDES)
-    for k in range(begin, len(hops)):
-        h = hops[k]
-        largest[:] = np.maximum(largest, tops[:, h])
-        if not moving[h]:
-            for side in range(SIDES):
-                _drop_below(rows[side], depth[side : side + 1], tops[side, h])
-            continue
-        hop = int(count[0])
-        count[0] += 1
-        usual[0] += (levels[h] - usual[0]) / (hop + 1 if hop < TAIL_HOPS else TAIL_HOPS)
-        recent[:, hop % TAIL_HOPS] = tops[:, h]
-        for side in range(SIDES):
-            value, on = float(tops[side, h]), float(on_tops[side, h])
-            own = rows[side], depth[side : side + 1]
-            weighed[side], let_go = _reach(*own, value, on, float(steps[h]), hop)
-            if not math.isnan(let_go):
-                dropped[side] = let_go
-        if weighed.any():
-            return k
-        if not np.isnan(dropped).all():
-            return k + 1
-    return len(hops)
+class Extreme(Struct):
+    """A watched value: no later value has exceeded it.
 
-
-def _drop_below(rows: Array, depth: Index, value: float) -> None:
-    while depth[0] and rows[depth[0] - 1, 0] < value:
-        depth[0] -= 1
-
-
-def _reach(
-    rows: Array, depth: Index, value: float, on: float, step: float, hop: int
-) -> tuple[bool, float]:
-    """Store a value as the latest extreme of a side. Stored extremes below this value are dropped.
-
-    on: number of samples of the hop (half a second) with this value. The first result is True if
-    the value needs further tests, because many samples have it or it was reached before. The second
-    result is the value whose pile was dropped for lack of room; NaN if there is none.
+    hop: driving hop (half a second) in which it was reached first. on, one_below, two_below: number
+    of samples on it, and one and two steps below it, as far as these are the largest values of
+    their hops. pile: evidence that it is a rail; None while nothing was counted.
     """
-    n, one_below, two_below, lower = int(depth[0]), 0.0, 0.0, -math.inf
-    while n:
-        top, _, on_it, below_it, *_ = rows[n - 1].tolist()
-        lower = value - top
-        if lower <= 0.0:
-            break
-        n, lower = n - 1, -math.inf if n == 1 else lower
-        if value - top < 1.5 * step:
-            one_below, two_below = one_below + on_it, two_below + below_it
-        elif value - top < 2.5 * step:
-            two_below += on_it
-    depth[0] = n
-    if lower == 0.0:
-        rows[n - 1, 2] += on  # those below it were added when they came
-        return True, math.nan
-    if -lower < 2.5 * step:
-        rows[n - 1, 3 if -lower < 1.5 * step else 4] += on
-    let_go = math.nan
-    if n == REMEMBERED:
-        free = np.flatnonzero(rows[:n, 5] == 0.0)
-        k = int(free[0]) if len(free) else 0
-        let_go = math.nan if len(free) else float(rows[k, 0])
-        rows[k : n - 1] = rows[k + 1 : n]
-        n -= 1
-    rows[n] = value, hop, on, one_below, two_below, 0.0
-    depth[0] = n + 1
-    return on >= LONG_STAY, let_go
+
+    value: float
+    hop: int
+    on: int
+    one_below: int = 0
+    two_below: int = 0
+    pile: Pile | None = None
 
 
 class Rail:
@@ -253,53 +180,24 @@ class Rail:
 
     - sign: 1 for the upper side, -1 for the lower side. All values of the lower side are negated.
     - least: smallest surprise of a rail [nats].
-    - rows, depth, recent, hops: as in `AxisRails`, of this side.
+    - hops: number of driving hops (half a second each).
+    - recent: largest values of the last driving hops.
     - surprise: surprise of the most likely rail [nats].
     - value: value of this rail; inf if there is no evidence.
     - rail: value of the last rail that was found; -inf if there was none.
-    - piles: evidence of each watched value that was reached often, by value.
     - found: True while the axis has a rail.
     - changed: True if the surprise must be computed again.
     """
 
-    def __init__(
-        self, sign: float, least: float, rows: Array, depth: Index, recent: Array, hops: Index
-    ) -> None:
-        self._sign, self._least = sign, least
-        self._rows, self._depth = rows, depth
-        self._recent, self._hops = recent, hops
-        self.piles: dict[float, Pile] = {}
+    def __init__(self, sign: float, least: float) -> None:
+        self.sign, self._least = sign, least
+        self._extremes: list[Extreme] = []  # from high to low
+        self.hops = 0
+        self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
         self.rail = -math.inf
         self._untouched, self._pauses, self._touches = 0, 0.0, 0
         self.found = self.changed = False
         self.surprise, self.value = 0.0, math.inf
-
-    @property
-    def recent(self) -> list[float]:
-        """Largest values of the last driving hops (half a second each)."""
-        hops = int(self._hops[0])
-        ring: list[float] = self._recent.tolist()
-        at = hops % TAIL_HOPS
-        return ring[:hops] if hops < TAIL_HOPS else ring[at:] + ring[:at]
-
-    @property
-    def newest(self) -> float:
-        """Largest value of the last driving hop (half a second)."""
-        return self._recent.item((int(self._hops[0]) - 1) % TAIL_HOPS)
-
-    @property
-    def top(self) -> float:
-        """The lowest watched value; NaN if there is none."""
-        depth = int(self._depth[0])
-        return self._rows.item(depth - 1, 0) if depth else math.nan
-
-    @property
-    def is_clear(self) -> bool:
-        """True if there is no evidence of a rail.
-
-        The next hops (half a second each) can then be processed together by `rail_hops`.
-        """
-        return not (self.changed or self.found) and self.value == math.inf
 
     def go_on(self, value: float, step: float, moving: bool) -> None:
         """Update the rail with the largest value of a hop (half a second).
@@ -322,20 +220,45 @@ class Rail:
     def stand(self, value: float) -> None:
         """Process the largest value of a hop (half a second) in which the vehicle stands or the
         axis is stuck."""
-        _drop_below(self._rows, self._depth, value)
-        self.forget_below(value)
+        while self._extremes and self._extremes[-1].value < value:
+            self._extremes.pop()
 
-    def forget_below(self, value: float) -> None:
-        """Stop counting the samples on values below this value."""
-        for one in [one for one in self.piles if one < value]:
-            del self.piles[one]
+    def drive(self, at: AxisHops, h: int, value: float, on: int) -> None:
+        """Process the largest value of driving hop h (half a second), and its number of samples.
+
+        The samples are counted if there are many, or if the value was reached before.
+        """
+        self.recent.append(value)
+        self.hops += 1
+        step, known, new = at.step[h], self._extremes, Extreme(value, self.hops - 1, on)
+        while known and known[-1].value < value:
+            below = known.pop()
+            if value - below.value < 1.5 * step:
+                new.one_below += below.on
+                new.two_below += below.one_below
+            elif value - below.value < 2.5 * step:
+                new.two_below += below.on
+        if known and known[-1].value == value:
+            known[-1].on += on  # those below it were added when they came
+            self._pile_up(known[-1], at, h)
+            return
+        if known and known[-1].value - value < 1.5 * step:
+            known[-1].one_below += on
+        elif known and known[-1].value - value < 2.5 * step:
+            known[-1].two_below += on
+        if len(known) == REMEMBERED:
+            known.pop(next((k for k, one in enumerate(known) if one.pile is None), 0))
+        known.append(new)
+        if on >= LONG_STAY:
+            self._pile_up(new, at, h)
 
     def stick(self, value: float) -> None:
         """Note that the axis is stuck at a value. The stuck axis is the reason for the stay, not a
         rail.
         """
-        if self.top == value and value in self.piles:
-            self.piles[value].count_stay_once()
+        last = self._extremes[-1] if self._extremes else None
+        if last is not None and last.value == value and last.pile is not None:
+            last.pile.count_stay_once()
 
     def is_held(self, value: float, left_by: float) -> bool:
         """Return whether a rail holds an axis that was stuck at a value.
@@ -349,29 +272,24 @@ class Rail:
 
     def weigh(self, last: float) -> None:
         """Choose the most likely rail among the watched values. last: the last sample."""
-        now = self._sign * last
+        now = self.sign * last
         # Once the value is left, nothing changes before the next arrival.
-        self.changed = now == self.top
+        self.changed = bool(self._extremes) and now == self._extremes[-1].value
         piles = [
-            (pile.surprise, value)
-            for value, pile in self.piles.items()
-            if pile.at_it >= LEAST_AT_EXTREME
-            and now < value
-            and pile.is_higher(*self._below(value))
-            and not self._is_apart(value)
+            (one.pile.surprise, one.value)
+            for one in self._extremes
+            if one.pile is not None
+            and now < one.value
+            and one.pile.is_higher(one.one_below, one.two_below)
+            and not self._is_apart(one.value)
         ]
         self.surprise, self.value = max(piles, default=(0.0, math.inf))
-
-    def _below(self, value: float) -> tuple[float, float]:
-        """Return the number of samples one step and two steps below a watched value."""
-        k = int(np.argmax(self._rows[: self._depth[0], 0] == value))
-        return self._rows.item(k, 3), self._rows.item(k, 4)
 
     def on_rail(self, value: float | None = None) -> None:
         """Set the value of the rail; None: the most likely value."""
         self.found, self.rail = True, self.value if value is None else value
         self._pauses, self._touches = 0.0, 0
-        pile = self.piles.get(self.rail)
+        pile = next((one.pile for one in self._extremes if one.value == self.rail), None)
         if pile is None or pile.arrivals < 2:  # its pauses are not known yet
             self._touch(UNTOUCHED[1])
         else:
@@ -396,7 +314,8 @@ class Rail:
         """Forget all evidence for the rail."""
         self.found = self.changed = False
         self.surprise, self.value = 0.0, math.inf
-        self.piles.clear()
+        for one in self._extremes:
+            one.pile = None
 
     def _is_apart(self, value: float) -> bool:
         """Return whether a value is further from all other peaks than these peaks are from each
@@ -409,29 +328,24 @@ class Rail:
         n = len(below)
         return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
-    def pile_up(self, at: AxisHops, h: int) -> None:
+    def _pile_up(self, extreme: Extreme, at: AxisHops, h: int) -> None:
         """Count the samples of hop h (half a second), the last driving hop, on the lowest watched
         value."""
         self.changed = True
-        k, hop = int(self._depth[0]) - 1, int(self._hops[0]) - 1
-        value, began = self._rows[k, :2].tolist()
-        rate = rate_of(*at.runs[h])
-        pile = self.piles.get(value)
-        if pile is None:
-            pile = self.piles[value] = Pile(rate, first=hop)
-            self._rows[k, 5] = 1.0
+        hop, rate = self.hops - 1, rate_of(*at.runs[h])
+        pile = extreme.pile = extreme.pile or Pile(rate, first=hop)
         pile.rate = pile.rate or rate
         is_arrival = hop - pile.last > 1
         if is_arrival:
             pile.before = pile.at_it, pile.stays
-        fresh = pile.count(at, h, self._sign * value)
+        fresh = pile.count(at, h, self.sign * extreme.value)
         pile.last = hop
         if not fresh:
             return
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(value, hop - int(began), at.step[h])
+                pile.met += self._coincidence(extreme.value, hop - extreme.hop, at.step[h])
 
     def _coincidence(self, value: float, age: int, step: float) -> float:
         """Return -log of the probability that one more peak of the tail falls into the same step
@@ -451,28 +365,12 @@ class Rail:
 
 
 class AxisRails:
-    """Both rails of an axis. least: surprise from which a value is a rail [nats].
-
-    The watched values of each side are rows of an array (SIDES, `REMEMBERED` + 1, 6), of which
-    depth (SIDES,) are used. The columns are the value, the driving hop (half a second) in which it
-    was reached, the number of samples on it, the number of samples one and two steps below it, as
-    far as they are the largest values of their hops, and 1 if the samples on it are counted in
-    `Rail.piles`. recent: (SIDES, `TAIL_HOPS`) ring buffer with the largest values of the last
-    driving hops. hops: (1,) number of driving hops. usual: (1,) mean change from sample to sample
-    while driving.
-    """
+    """Both rails of an axis. least: surprise from which a value is a rail [nats]."""
 
     def __init__(self, least: float = SURPRISE) -> None:
         self._least = least
-        self._rows = np.zeros((SIDES, REMEMBERED + 1, 6))
-        self._depth = np.zeros(SIDES, np.int64)
-        self._usual, self._hops = np.zeros(1), np.zeros(1, np.int64)
-        self._recent = np.zeros((SIDES, TAIL_HOPS))
-        self._found = np.empty(3 * SIDES)
-        self.sides = [
-            Rail(sign, least, self._rows[k], self._depth[k : k + 1], self._recent[k], self._hops)
-            for k, sign in enumerate((1.0, -1.0))
-        ]
+        self._usual = 0.0  # mean change from sample to sample while driving
+        self.sides = Rail(1.0, least), Rail(-1.0, least)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -487,58 +385,23 @@ class AxisRails:
 
         stuck: True if the axis was stuck when the hop began. Such a hop is no evidence about rails.
         """
-        tops = [top[h] for top in at.tops]
+        sides = [
+            (rail, top[h], on[h])
+            for rail, top, on in zip(self.sides, at.tops, at.on_tops, strict=True)
+        ]
         if stuck:
-            for rail, value in zip(self.sides, tops, strict=True):
+            for rail, value, _ in sides:
                 rail.stick(value)
             self._look_at_end(at, h)
-        for rail, value in zip(self.sides, tops, strict=True):
+        for rail, value, on in sides:
             rail.go_on(value, at.step[h], moving)
-            if stuck or not moving:
+            if moving and not stuck:
+                rail.drive(at, h, value, on)
+            else:
                 rail.stand(value)
         if moving and not stuck:
-            self._take_hops(at, np.array([h]), 0, np.ones(len(at.level), dtype=bool))
+            self._usual += (at.level[h] - self._usual) / min(self.sides[0].hops, TAIL_HOPS)
         return self._weigh(at, h)
-
-    def take_hops(self, at: AxisHops, hops: Sequence[int], moving: Flags) -> list[bool]:
-        """Do the same as `take_hop` for hops (half a second each) with samples, if the axis is
-        stuck in none of them.
-
-        moving: (H,) flags of all hops of the rows. This function is fast if the values of most hops
-        are below values that were reached before.
-        """
-        moves: list[bool] = moving.tolist()
-        places = np.array(hops, np.int64)
-        found: list[bool] = []
-        while (done := len(found)) < len(hops):
-            if not all(rail.is_clear for rail in self.sides):
-                found.append(self.take_hop(at, hops[done], moves[hops[done]], stuck=False))
-                continue
-            stopped = self._take_hops(at, places, done, moving)
-            found += [False] * (stopped - done)
-            if not all(rail.is_clear for rail in self.sides):
-                found.append(self._weigh(at, hops[stopped]))
-        return found
-
-    def _take_hops(self, at: AxisHops, hops: Index, begin: int, moving: Flags) -> int:
-        """Process hops from index `begin` on, up to the first hop (half a second) whose largest
-        values need further tests. The samples with these values are counted.
-
-        moving: flags of all hops. Returns the index of this hop. If no hop needs further tests, the
-        index is that of the first hop that was not taken.
-        """
-        kernel: Kernel = rail_hops if compiled.kernels is None else compiled.kernels.rail_hops
-        stopped: int = kernel(
-            hops, begin, moving, *at.in_rows,
-            self._rows, self._depth, self._usual, self._hops, self._recent, self._found,
-        )  # fmt: skip
-        sides = self._found.reshape(3, SIDES).T.tolist()
-        for rail, (is_reached, largest, dropped) in zip(self.sides, sides, strict=True):
-            rail.forget_below(largest)
-            rail.piles.pop(dropped, None)
-            if is_reached:
-                rail.pile_up(at, int(hops[stopped]))
-        return stopped
 
     def _weigh(self, at: AxisHops, h: int) -> bool:
         """Return whether the axis is on a rail after hop h (half a second)."""
@@ -555,12 +418,9 @@ class AxisRails:
         return any(rail.found for rail in self.sides)
 
     def _has_tail(self, step: float) -> bool:
-        if self._hops[0] == 0:
+        if not self.sides[0].recent:
             return False
-        least = LEAST_STEPS * step
-        if sum(rail.newest for rail in self.sides) >= least:
-            return True
-        return sum(max(rail.recent) for rail in self.sides) >= least
+        return sum(max(rail.recent) for rail in self.sides) >= LEAST_STEPS * step
 
     def _look_at_end(self, at: AxisHops, h: int) -> None:
         """Check whether an axis that was stuck is free again, and whether a rail held it."""
@@ -569,8 +429,8 @@ class AxisRails:
         if not len(other) or not self._has_tail(at.step[h]):
             return
         change = float(own[other[0]]) - value
-        if abs(change) > USUAL_CHANGE * max(self._usual.item(), at.step[h]):
+        if abs(change) > USUAL_CHANGE * max(self._usual, at.step[h]):
             return
-        for rail, sign in zip(self.sides, (1.0, -1.0), strict=True):
-            if rail.is_held(sign * value, -sign * change):
-                rail.on_rail(sign * value)
+        for rail in self.sides:
+            if rail.is_held(rail.sign * value, -rail.sign * change):
+                rail.on_rail(rail.sign * value)

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from itertools import groupby
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -78,23 +76,14 @@ class AxisJudges:
         if a run between two jumps ended in the hop. The third flag is True if the axis is on a rail
         at the end of the hop. All flags of a hop without samples are False.
         """
-        runs, rails = self.runs, self.rails
-        moves = moving.tolist()
-        stuck, lost, saturated = ([False] * len(moves) for _ in range(3))
-        begins: list[tuple[int, bool]] = []  # of hops with samples; whether it was stuck then
-        for h, is_moving in enumerate(moves):
+        runs = self.runs
+        stuck, lost, saturated = ([False] * len(moving) for _ in range(3))
+        for h, is_moving in enumerate(moving.tolist()):
             at.runs.append((runs.moving.count, runs.moving.longest))
             if at.counts[h][0]:
-                begins.append((h, runs.stuck))
+                was_stuck = runs.stuck
                 stuck[h], lost[h] = runs.take_hop(at, h, is_moving)
-        for was_stuck, of in groupby(begins, key=itemgetter(1)):
-            hops = [h for h, _ in of]
-            if was_stuck:
-                flags = [rails.take_hop(at, h, moves[h], stuck=True) for h in hops]
-            else:
-                flags = rails.take_hops(at, hops, moving)
-            for h, on_rail in zip(hops, flags, strict=True):
-                saturated[h] = on_rail
+                saturated[h] = self.rails.take_hop(at, h, is_moving, was_stuck)
         return stuck, lost, saturated
 
 

@@ -63,8 +63,6 @@ typedef struct {
 static inline int is_of_kind(const Py_buffer *view, char kind)
 {
     const char *format = view->format ? view->format : "B";
-    if (kind == 'D')
-        return format[0] == 'Z' && format[1] == 'd' && !format[2];
     if (format[0] == '\0' || format[1])
         return 0;
     if (kind == 'q') /* numpy says l or q for int64 */
@@ -147,11 +145,6 @@ static inline const double *doubles(Arrays *a, PyObject *object, const Size *sha
 static inline double *doubles_out(Arrays *a, PyObject *object, const Size *shape)
 {
     return take_out(a, object, 'd', shape);
-}
-
-static inline const uint8_t *flags_in(Arrays *a, PyObject *object, const Size *shape)
-{
-    return take(a, object, '?', shape);
 }
 
 /* What a kernel returns where numbers that it was given lead beyond its arrays. */

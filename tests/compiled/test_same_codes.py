@@ -1,4 +1,4 @@
-"""Kernels of samples and frames against numpy: the same bits, or the same refusal."""
+"""The kernel of protected frames against Python: the same codes and the same state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from recorded_calls import needs_kernels
 
-from both_ways import agree, spiked
+from both_ways import agree
 from imucald.can.dbc.bits import Field
 from imucald.can.e2e.checksums import (
     E2E_COUNTERS,
@@ -24,78 +24,11 @@ from imucald.can.e2e.checksums import (
 from imucald.can.e2e.protection import MessageChecker
 from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec
 from imucald.can.e2e.protector import MessageProtector
-from imucald.core.samples import Series
-from imucald.motion.column_ticks import ticks_from_samples
-from imucald.motion.hops import AxisHops, Carry, hop_rows
-from imucald.motion.rails import AxisRails
 
 pytestmark = [needs_kernels, pytest.mark.slow]
 
 MANY = settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 SEEDS = given(st.integers(0, 2**32 - 1))
-
-
-def share_of(rng: np.random.Generator) -> float:
-    return float(rng.choice([0.0, 0.0, 0.002, 0.05]))
-
-
-def coarse(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Samples that meet their extremes now and then, and stay there."""
-    step, most = 10.0 ** rng.uniform(-3, 0), rng.choice([0.5, 1.5, 9.0])
-    values = np.round(rng.normal(size=shape) / step) * step
-    values = np.clip(values, -most, most)
-    stays = rng.random(shape) < rng.choice([0.0, 0.1, 0.9])
-    for k in range(1, shape[0]):
-        values[k] = np.where(stays[k], values[k - 1], values[k])
-    return np.asarray(values)
-
-
-@SEEDS
-@MANY
-def test_hops_and_their_rails(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    chunks = []
-    for _ in range(int(rng.integers(1, 4))):
-        hops, n = int(rng.integers(1, 60)), int(rng.integers(1, 800))  # nobody asks about none
-        hop = np.sort(rng.integers(0, hops, n))
-        values = coarse(rng, (n, 3))
-        chunks.append((hops, hop, spiked(rng, values, share_of(rng)), rng.random(hops) < 0.8))
-
-    def judged() -> object:
-        carry, rails, found = Carry.none(3), [AxisRails() for _ in range(3)], []
-        for hops, hop, values, moving in chunks:
-            rows = hop_rows(values, hop, hops, carry)
-            some = np.flatnonzero(rows.count).tolist()
-            for axis in range(3):
-                at = AxisHops(axis, rows)
-                at.runs = [(100, 2)] * hops
-                cut = len(some) // 2
-                on = rails[axis].take_hops(at, some[:cut], moving)
-                on += [rails[axis].take_hop(at, h, bool(moving[h]), h % 7 == 3) for h in some[cut:]]
-                own = rails[axis]
-                figures = [(rail.surprise, rail.value, rail.recent) for rail in own.sides]
-                found.append((on, figures, own._hops.item(), own._usual.item()))
-            found.append((rows, carry.last.copy(), carry.run.copy(), carry.step.copy()))
-        return found
-
-    agree(judged, errors="ignore")
-
-
-@SEEDS
-@MANY
-def test_ticks_of_columns_of_samples(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    first, ticks = int(rng.integers(0, 1000)), int(rng.integers(0, 40))
-    samples = {}
-    for channel, shape in (("accel", (3,)), ("gyro", (3,)), ("speed", ()), ("yaw_rate", ()),
-                           ("wheel_speeds", (4,)), ("steering", ()), ("reverse", ())):  # fmt: skip
-        n = int(rng.integers(0, 300))
-        t = np.sort(rng.uniform(first - 5, first + ticks + 5, n)) / 10.0
-        t = np.where(rng.random(n) < 0.2, np.round(t, 1), t)
-        if rng.random() < 0.9:
-            t = np.sort(t)
-        samples[channel] = Series(t, spiked(rng, rng.normal(size=(n, *shape)), share_of(rng)))
-    agree(ticks_from_samples, samples, first, first + ticks, errors="ignore")
 
 
 @pytest.mark.parametrize("bits", [31, 32, 33, 56])
