@@ -1,8 +1,7 @@
 """Write frames as candump text, in the format of ``candump -L`` and canplayer.
 
-Columns are written with a few array operations. Frames of the same form (id width, CAN FD or not,
-length, channel) have lines of equal length. These lines are filled as a table and then put into
-their order.
+Columns are written with a few array operations: each line is a row of a table of characters, and
+unused places hold NUL, which is then removed.
 """
 
 from __future__ import annotations
@@ -34,15 +33,8 @@ from imucald.core.errors import LogError
 MAX_SECONDS: Final = 2**32
 """Limit of written times [s] (year 2106). Below it, a double is exact to the microsecond."""
 
-MICROSECONDS: Final = 1_000_000
 ROWS: Final = 32_768
 """Number of frames formatted together, so that memory is bounded and fits the cache."""
-
-GZIP_LEVEL: Final = 3
-"""Compression level of gzip: twice as fast as the default, and 10 % larger."""
-
-_CLASSIC: Final = CLASSIC_BYTES
-_STAMP_BYTES: Final = len("(1600000000.000000) ")
 
 
 class CandumpWriter:
@@ -115,12 +107,6 @@ class CandumpWriter:
         return LogError(f"{self._name}: cannot be written: {error.strerror or error}")
 
 
-def _no_frame(name: str, t: float, can_id: int, length: int) -> LogError:
-    return LogError(
-        f"{name}: a CAN frame cannot have these values: time {t} s, id {can_id:X}, {length} bytes"
-    )
-
-
 def _open(name: str) -> BufferedIOBase:
     if name == "-":
         stdout = getattr(sys.stdout, "buffer", None)  # a notebook's stdout accepts only text
@@ -130,113 +116,61 @@ def _open(name: str) -> BufferedIOBase:
     if name.endswith(".gz"):
         import gzip  # noqa: PLC0415 - replay seldom writes
 
-        return gzip.open(name, "wb", GZIP_LEVEL)
+        return gzip.open(name, "wb", 3)  # twice as fast as the default, and 10 % larger
     return Path(name).open("wb")
 
 
 def _formatted(frames: FrameColumns, fd_flags: int, name: str) -> bytes:
     """Return the lines of some frames."""
     length = frames.length.astype(np.intp)
-    fd = length > _CLASSIC if frames.fd is None else frames.fd
+    fd = length > CLASSIC_BYTES if frames.fd is None else frames.fd
     good = (frames.t >= 0) & (frames.t < MAX_SECONDS)
-    good &= length <= np.where(fd, FD_BYTES, _CLASSIC)
+    good &= length <= np.where(fd, FD_BYTES, CLASSIC_BYTES)
     extended = frames.can_id >= CAN_EFF_FLAG
     good &= frames.can_id <= np.where(extended, CAN_EFF_FLAG | CAN_EFF_MASK, CAN_SFF_MASK)
     if not good.all():
         bad = int(np.argmin(good))
-        raise _no_frame(name, frames.t[bad], int(frames.can_id[bad]), int(length[bad]))
-    stamps = _stamps(frames.t)
-    form = ((frames.channel.astype(np.intp) * 2 + extended) * 2 + fd) * 128 + length
-    forms, first, which = np.unique(form, return_index=True, return_inverse=True)
-    heads = [
-        _Form(
-            _channel(frames.channels[frames.channel[k]]).encode("ascii") + b" ",
-            8 if extended[k] else 3,
-            b"##%X" % fd_flags if fd[k] else b"#",
-            int(length[k]),
+        raise LogError(
+            f"{name}: a CAN frame cannot have these values: time {frames.t[bad]} s, "
+            f"id {frames.can_id[bad]:X}, {length[bad]} bytes"
         )
-        for k in first.tolist()
+    micros = np.rint(frames.t * 1e6).astype(np.int64)
+    stamps = _four_digits()[micros[:, None] // (10**12, 10**8, 10**4, 1) % 10**4].view(np.uint8)
+    ids = _hex((frames.can_id & np.uint32(CAN_EFF_MASK)).astype(">u4")[:, None].view(np.uint8))
+    ids[~extended, :-3] = 0
+    channels = _table([_channel(channel).encode("ascii") for channel in frames.channels])
+    marks = _table([b"#", b"##%X" % fd_flags])
+    data = _hex(frames.data[:, : length.max(initial=0)])
+    data[np.arange(data.shape[1]) >= 2 * length[:, None]] = 0
+    columns = (
+        b"(", stamps[:, :10], b".", stamps[:, 10:], b") ", channels[frames.channel], b" ", ids,
+        marks[fd.astype(np.intp)], data, b"\n",
+    )  # fmt: skip
+    rows = [
+        np.broadcast_to(_table([one]), (len(ids), len(one))) if isinstance(one, bytes) else one
+        for one in columns
     ]
-    if len(forms) == 1:
-        return heads[0].lines(stamps, frames.can_id, frames.data).tobytes()
-    sizes = np.array([head.size for head in heads])[which]
-    ends = np.cumsum(sizes)
-    text = np.zeros(int(ends[-1]), np.uint8)
-    for k, head in enumerate(heads):
-        mine = np.flatnonzero(which == k)
-        lines = head.lines(stamps[mine], frames.can_id[mine], frames.data[mine])
-        places = np.ndarray((len(text) - head.size + 1,), f"V{head.size}", text, 0, (1,))
-        places[ends[mine] - head.size] = lines.view(f"V{head.size}")[:, 0]
-    return text.tobytes()
+    return np.concatenate(rows, axis=1).tobytes().translate(None, b"\0")
 
 
-def _stamps(t: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return characters (N, 20): ``(seconds.microseconds) ``, with ten and six digits."""
-    micros = np.rint(t * MICROSECONDS).astype(np.int64)
-    seconds, micros = np.divmod(micros, MICROSECONDS)
-    high, low = np.divmod(seconds, 10_000)
-    rows = np.empty((len(t), _STAMP_BYTES), np.uint8)
-    rows[:, 0] = ord("(")
-    rows[:, 1:3] = _digits(high // 10_000)[:, 2:]
-    rows[:, 3:7] = _digits(high % 10_000)
-    rows[:, 7:11] = _digits(low)
-    rows[:, 11] = ord(".")
-    rows[:, 12:14] = _digits(micros // 10_000)[:, 2:]
-    rows[:, 14:18] = _digits(micros % 10_000)
-    rows[:, 18] = ord(")")
-    rows[:, 19] = ord(" ")
-    return rows
-
-
-def _digits(number: NDArray[np.int64]) -> NDArray[np.uint8]:
-    return _four_digits().take(number)[:, None].view(np.uint8)
-
-
-class _Form:
-    """Lines of frames of the same form. These lines differ only in their digits."""
-
-    def __init__(self, channel: bytes, id_digits: int, mark: bytes, length: int) -> None:
-        self.size = _STAMP_BYTES + len(channel) + id_digits + len(mark) + 2 * length + 1
-        self._channel = channel
-        self._id_digits = id_digits
-        self._mark = mark
-        self._length = length
-
-    def lines(
-        self, stamps: NDArray[np.uint8], can_id: NDArray[np.uint32], data: NDArray[np.uint8]
-    ) -> NDArray[np.uint8]:
-        """Return the lines as characters (N, size)."""
-        count, at = len(stamps), _STAMP_BYTES
-        rows = np.empty((count, self.size), np.uint8)
-        rows[:, :at] = stamps
-        for text in (self._channel, b"0" * self._id_digits, self._mark):
-            rows[:, at : at + len(text)] = np.frombuffer(text, np.uint8)
-            at += len(text)
-        number = (can_id & np.uint32(CAN_EFF_MASK)).astype(">u4")
-        digits = _hex(number[:, None].view(np.uint8))[:, -self._id_digits :]
-        end = _STAMP_BYTES + len(self._channel) + self._id_digits
-        rows[:, end - self._id_digits : end] = digits
-        rows[:, at : at + 2 * self._length] = _hex(data[:, : self._length])
-        rows[:, -1] = ord("\n")
-        return rows
+def _table(texts: list[bytes]) -> NDArray[np.uint8]:
+    """Return the characters of texts (N, longest), with NUL after a shorter text."""
+    return np.array(texts).view(np.uint8).reshape(len(texts), -1)
 
 
 def _hex(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return hexadecimal characters (N, 2 L) for bytes (N, L)."""
-    return _hex_pairs().take(data).view(np.uint8).reshape(len(data), -1)
+    return _hex_pairs().take(data).view(np.uint8).reshape(len(data), 2 * data.shape[1])
 
 
 @cache
 def _four_digits() -> NDArray[np.uint32]:
-    digits = (np.arange(10_000)[:, None] // (1000, 100, 10, 1) % 10 + ord("0")).astype(np.uint8)
-    table: NDArray[np.uint32] = digits.view("<u4")[:, 0]
-    return table
+    return np.array([b"%04d" % k for k in range(10_000)]).view("<u4")
 
 
 @cache
 def _hex_pairs() -> NDArray[np.uint16]:
-    table: NDArray[np.uint16] = np.array([b"%02X" % k for k in range(256)], "S2").view("<u2")
-    return table
+    return np.array([b"%02X" % k for k in range(256)]).view("<u2")
 
 
 def _channel(name: str) -> str:
