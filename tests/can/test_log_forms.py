@@ -180,7 +180,7 @@ def test_damaged_lines_of_screen_output_are_counted_by_reason(tmp_path: Path) ->
         "bad_hex": 1, "bad_id": 1, "bad_timestamp": 2, "not_candump": 1, "cut_line": 1,
     }  # fmt: skip
     assert reader.problems[0].startswith(
-        f"{path}:{len(good) + 1}: the line does not have 5 data bytes"
+        f"{path}:{len(good) + 1}: the line does not have the stated number of data bytes"
     )
 
 
