@@ -14,7 +14,7 @@ import pytest
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.can.link import socketcan
 from imucald.can.link.link import Link, LinkEvent, LinkState
-from imucald.can.link.outbox import HELD_FRAMES, MAX_HOLD, Outbox
+from imucald.can.link.port import HELD_FRAMES, MAX_HOLD, Outbox
 from imucald.can.link.socketcan import MAX_BATCH, MAX_FILTERS, SocketCan, packed_filters
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError

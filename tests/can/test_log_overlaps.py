@@ -10,7 +10,7 @@ from imucald.can.columns import FrameColumns
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.frame_batches import columns_of_frames
 from imucald.can.logs.log_reader import LogReader
-from imucald.can.logs.overlaps import CLOCK_SET_S
+from imucald.can.logs.recording_files import CLOCK_SET_S
 
 TODAY = CLOCK_SET_S + 8e8
 

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imucald.api.drive import DriveResult
-from imucald.can.logs.first_frames import IS_THE_SAME
-from imucald.can.logs.overlaps import CLOCK_SET_S, overlap_words
+from imucald.can.logs.recording_files import CLOCK_SET_S, IS_THE_SAME, overlap_words
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.text import clock

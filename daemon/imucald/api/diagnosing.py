@@ -14,7 +14,7 @@ from imucald.api.configuration import Configuration, PathLike
 from imucald.api.html import html_table
 from imucald.api.logs import pieces
 from imucald.api.run import Progress
-from imucald.can.logs.first_frames import same_recording
+from imucald.can.logs.recording_files import same_recording
 from imucald.core.errors import ConfigError, EstimateError, ImucaldError
 from imucald.core.text import counted, duration
 from imucald.diagnosis.baseline import baseline_model

@@ -27,11 +27,11 @@ FD_BYTES = 64
 FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
 """Payload lengths of CAN FD from 8 bytes on [bytes] (ISO 11898-1)."""
 
+CANFD_FDF = 0x04
+"""Flag of a CAN FD frame: the frame has this format."""
+
 CANFD_BRS = 1
 """Flag of a CAN FD frame: data phase at the higher bit rate, as usual in vehicles."""
-
-MAX_CHANNELS = 255
-"""Largest number of channels, because an index is one byte. No real log has more channels."""
 
 CAN_RTR_FLAG = 0x4000_0000
 """Flag in a CAN id: the frame is a remote frame."""
@@ -129,7 +129,8 @@ class Channels:
     def index(self, name: str) -> int | None:
         """Return the index of a channel; a new channel is added. None if there are too many."""
         known = self._index.get(name)
-        if known is None and len(self._index) < MAX_CHANNELS:
+        # an index is one byte; no real log has more channels
+        if known is None and len(self._index) < 255:
             known = self._index[name] = len(self._index)
         return known
 

@@ -189,7 +189,7 @@ def _truth_beside(log: Path | None) -> Path | None:
 def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
     from imucald.can.link.link import Link
     from imucald.commands.terminal import countdown
-    from imucald.traffic.play import play
+    from imucald.traffic.can_log import play
 
     with (
         Link(options.interface, options.channel, receive=()) as link,

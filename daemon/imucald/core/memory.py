@@ -12,10 +12,6 @@ except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
 _GROUPS = Path("/sys/fs/cgroup")
-_UNSTATED = 4 * 2**30
-"""Memory that is assumed for a machine that does not state its memory (Windows) [bytes]: the
-smallest memory of present desktop computers.
-"""
 
 
 def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _GROUPS) -> int:
@@ -25,7 +21,8 @@ def allowed_memory(own_group: Path = Path("/proc/self/cgroup"), groups: Path = _
     (`ulimit`), and MemoryMax of the surrounding groups (cgroup v2).
     """
     if resource is None:
-        return _UNSTATED
+        # Windows: the smallest memory of present desktop computers
+        return 4 * 2**30
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     own = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
     limits += [limit for limit in own if limit != resource.RLIM_INFINITY]

@@ -32,7 +32,6 @@ from imucald.inputs.units import Unit, find_unit, unit_names
 
 Number = TypeVar("Number", int, float)
 
-PLANAR_AXES = 2
 SPLIT_PLANAR = "x and y of a sensor without z must be in one message, in one frame"
 _SENSORS = ("accel", "gyro")
 """Channels in which values at the end of the range mean a saturated sensor."""
@@ -449,5 +448,5 @@ def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]
         planar = [(w, _tap_key(group, w, index)) for w, index, _ in group.wanted if w.planar]
         count = Counter(key for _, key in planar)
         for wanted, key in planar:
-            if count[key] < PLANAR_AXES:
+            if count[key] < 2:
                 raise loaded.error(wanted.place, SPLIT_PLANAR)

@@ -16,7 +16,7 @@ from typing import Protocol
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.link.link import Frame, Link, LinkEvent
-from imucald.can.link.outbox import MAX_HOLD
+from imucald.can.link.port import MAX_HOLD
 from imucald.config import LoadedConfig
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth

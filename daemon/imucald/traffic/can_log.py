@@ -1,11 +1,13 @@
-"""Make the frames of a drive in the order on the bus: as columns, one by one, or as a candump
-log."""
+"""Make the frames of a drive in the order on the bus: as columns, one by one, as a candump log, or
+sent to a bus in real time (or faster)."""
 
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
@@ -15,6 +17,9 @@ from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.simulation.drive import Drive
 from imucald.traffic.drive_encoder import BusEncoder
 from imucald.traffic.other_units import arbitrated, background, joined
+
+if TYPE_CHECKING:
+    from imucald.can.link.link import Link
 
 EPOCH_S = 1_600_000_000.0
 """Default time stamp of the start of a drive [UNIX s]."""
@@ -89,3 +94,32 @@ def _on_channel(frames: FrameColumns, channels: tuple[str, ...]) -> FrameColumns
     return FrameColumns(
         frames.t, frames.can_id, frames.length, frames.data, frames.channel, channels[:1], frames.fd
     )
+
+
+def play(
+    drive: Drive,
+    encoder: BusEncoder,
+    link: Link,
+    speed: float = 1.0,
+    with_background: bool = False,
+    progress: Progress | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> int:
+    """Send the frames of a drive at their times, `speed` times as fast. Return the number of
+    accepted frames.
+
+    speed: 1 means real time. A frame that the bus does not accept is lost, as on a real bus.
+    """
+    began = clock()
+    accepted, reported = 0, 0.0
+    for t, can_id, data in live_frames(drive, encoder, with_background):
+        wait = began + t / speed - clock()
+        while wait > 0.0005:  # shorter sleeps are not reliable
+            link.receive(wait)
+            wait = began + t / speed - clock()
+        accepted += link.send(can_id, data)
+        if progress is not None and t - reported > 0.5:
+            progress(t)
+            reported = t
+    link.receive(0.0)
+    return accepted

@@ -17,8 +17,6 @@ STANDARD_BITS = 47
 """Number of bits of a data frame with an 11-bit id: without payload, with the gap to the next
 frame."""
 EXTENDED_BITS = 67
-STUFFING = 1.1
-"""Average factor by which stuff bits lengthen a frame."""
 CYCLES_S = (0.01, 0.02, 0.05, 0.1, 1.0)
 CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
 """Shares of the messages of a real bus, one share for each cycle time."""
@@ -153,7 +151,8 @@ def _served(
 def _durations(frames: FrameColumns, bitrate: float) -> Array:
     extended = (frames.can_id & CAN_EFF_FLAG) != 0
     bits = np.where(extended, EXTENDED_BITS, STANDARD_BITS) + 8.0 * frames.length
-    durations: Array = bits * (STUFFING / bitrate)
+    # stuff bits
+    durations: Array = bits * (1.1 / bitrate)
     return durations
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from imucald.api.columns import Columns, TableColumn, columns_from
 from imucald.api.files.table_file import Tables, axes_of, given_up, named, unfinished
 from imucald.api.interchange import library
-from imucald.can.logs.mf4_end import mf4_end
+from imucald.can.logs.untrusted_files import mf4_end
 from imucald.core.errors import ImucaldError
 
 ATTACHMENT = "imucald.json"

@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.message import ByteOrder, Signal
 
-MAX_FRAME_BYTES = 64
-"""Longest CAN FD frame [byte]."""
-
 WORD_BITS = 64
 
 Columns = NDArray[np.uint8]

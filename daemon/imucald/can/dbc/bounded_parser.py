@@ -26,13 +26,6 @@ if TYPE_CHECKING:
 
 SMALL = 64 * 2**10
 """Largest text [characters] that this process parses itself. 220 times this size is 14 MiB."""
-PARSER_SHARE = 0.6
-"""Share of the allowed memory for the parser. The rest is for this process and two copies of the
-text."""
-MIN_SECONDS = 60
-"""Smallest limit of processor time [s]. A slow processor takes 10 s per megabyte of DBC."""
-SECONDS_PER_MB = 10
-_MB = 10**6
 _START = """
 import json, sys
 sys.path[:] = json.loads(sys.argv[1])
@@ -53,8 +46,10 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
             ) from None
     import subprocess  # noqa: PLC0415 - large databases only
 
-    memory = int(allowed_memory() * PARSER_SHARE)
-    seconds = max(MIN_SECONDS, SECONDS_PER_MB * len(text) // _MB)
+    # the rest is for this process and two copies of the text
+    memory = int(allowed_memory() * 0.6)
+    # a slow processor takes 10 s per megabyte of DBC
+    seconds = max(60, 10 * len(text) // 10**6)
     flags = [flag for flag, is_set in _interpreter_flags() if is_set]
     arguments = [json.dumps(sys.path), database_format, source, str(memory), str(seconds)]
     try:

@@ -28,9 +28,6 @@ _MARKS: Mapping[bytes, str] = {
 """Encodings by the byte order mark at the start of a file."""
 MAX_FILE_BYTES = 256 * 2**20
 """Largest file [bytes]. ARXML files of a whole vehicle reach 100 MB."""
-TEXT_SHARE = 1 / 16
-"""Share of the allowed memory for the largest file. The file is stored twice: as bytes, and as text
-of two bytes per character."""
 REMEMBERED = 4
 """Number of databases that a process caches, because the next log often needs the same database."""
 REMEMBERED_TEXT = 2 * 2**20
@@ -165,9 +162,9 @@ def load_database_text(text: str, database_format: str, name: str = "<text>") ->
 
 
 def max_file_bytes() -> int:
-    """Return the size of the largest accepted file [bytes]. This limit depends on the allowed
-    memory."""
-    return min(MAX_FILE_BYTES, int(allowed_memory() * TEXT_SHARE))
+    """Return the size of the largest accepted file [bytes]. A file may take a part of the allowed
+    memory, because it is stored twice: as bytes, and as text of two bytes per character."""
+    return min(MAX_FILE_BYTES, allowed_memory() // 16)
 
 
 def _load_file(path: Path) -> list[Message]:

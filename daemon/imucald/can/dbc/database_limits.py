@@ -18,9 +18,6 @@ MAX_MESSAGE_BYTES = 4096
 
 MAX_BITS = 8 * MAX_MESSAGE_BYTES
 
-MAX_PDU_BITS = 2**24
-"""Longest accepted PDU in an ARXML file, which may also describe Ethernet."""
-
 MAX_MULTIPLEXED_SETS = 65_536
 """Largest number of signal sets that the multiplexers of one message may select. The numbers of
 nested multiplexers are multiplied."""
@@ -40,18 +37,14 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
     ),
     "arxml": (
         (r"<(?:\w+:)?FRAME-LENGTH>\s*(\d+)", MAX_BITS),
-        (r"<(?:\w+:)?(?:LENGTH|START-POSITION)>\s*(\d+)", MAX_PDU_BITS),
+        (r"<(?:\w+:)?(?:LENGTH|START-POSITION)>\s*(\d+)", 2**24),
     ),
 }
 """Numbers that determine the parser's memory, by format: a pattern whose group contains the digits,
 and the largest accepted number."""
 
-_SYM_SIGNAL = re.compile(r"\b(?:Sig|Var|Mux)\s*=")
-_SYM_NUMBER = re.compile(r"\s(\d{5,})(?![\dA-Fa-fh])")
 _MESSAGE = re.compile(r"\bBO_(?!\w)")
-_FIRST_NUMBER = re.compile(r"\s*(\d+)")
 _MULTIPLEXED = re.compile(r"\s+(\d{1,20})\s+(\w+)\s+(\w+)\s+(.*)", re.DOTALL)
-_RANGE = re.compile(r"(\d{1,20})\s*-\s*(\d{1,20})")
 
 
 def refuse_heavy(text: str, database_format: str, source: str) -> None:
@@ -75,7 +68,7 @@ def _refuse_long_messages(text: str, source: str) -> None:
     starts = [match.start() for match in _MESSAGE.finditer(text)]
     for at, end in itertools.pairwise([*starts, len(text)]):
         head, _, rest = text[at:end].partition(":")
-        number = _FIRST_NUMBER.match(rest)
+        number = re.match(r"\s*(\d+)", rest)
         if number and '"' not in head and ";" not in head:
             _refuse_number(number.group(1), MAX_MESSAGE_BYTES, text, at, source)
 
@@ -85,9 +78,9 @@ def _refuse_sym_positions(text: str, source: str) -> None:
     at = 0
     for line in text.split("\n"):
         text = line.partition("/")[0]
-        signal = _SYM_SIGNAL.search(text)
+        signal = re.search(r"\b(?:Sig|Var|Mux)\s*=", text)
         if signal:
-            for number in _SYM_NUMBER.finditer(text, signal.end()):
+            for number in re.finditer(r"\s(\d{5,})(?![\dA-Fa-fh])", text[signal.end() :]):
                 _refuse_number(number.group(1), MAX_BITS, text, at, source)
         at += len(line) + 1
 
@@ -107,7 +100,10 @@ def _refuse_multiplexers(text: str, source: str) -> None:
         at = text.find("SG_MUL_VAL_", at) + 1
         if match:
             message, signal, parent, ranges = match.groups()
-            values = sum(max(0, int(b) - int(a) + 1) for a, b in _RANGE.findall(ranges))
+            values = sum(
+                max(0, int(b) - int(a) + 1)
+                for a, b in re.findall(r"(\d{1,20})\s*-\s*(\d{1,20})", ranges)
+            )
             children.setdefault((message, parent), []).append((signal, values))
             if values > MAX_MULTIPLEXED_SETS:
                 _refuse_sets(text, at, source)

@@ -28,9 +28,6 @@ from imucald.can.dbc.message import Message, Selectors
 from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.core.errors import DatabaseError, DecodeError
 
-J1939_BROADCAST_FORMAT = 240
-"""From this PDU format on (PDU2), the PDU-specific byte is part of the PGN (SAE J1939-21)."""
-
 J1939_PDU1_MASK = 0x03FF_0000
 """Mask of the PGN of a message to one address: extended data page, data page, PDU format."""
 
@@ -53,7 +50,8 @@ RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 
 
 def _pgn_mask(can_id: int) -> int:
-    is_pdu2 = (can_id >> 16 & 0xFF) >= J1939_BROADCAST_FORMAT
+    # PDU2: the PDU-specific byte is part of the PGN (SAE J1939-21)
+    is_pdu2 = (can_id >> 16 & 0xFF) >= 240
     return J1939_PDU2_MASK if is_pdu2 else J1939_PDU1_MASK
 
 

@@ -10,16 +10,15 @@ import importlib
 import importlib.util
 import logging
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
 
 from imucald.can.columns import CAN_EFF_FLAG
-from imucald.can.dbc.arxml_place import why_refused
 from imucald.can.dbc.database_limits import refuse_heavy
-from imucald.can.dbc.dbc_mending import LeftOut, MendedText, lost_multiplexers
-from imucald.can.dbc.kcd_mending import MendedKcd
+from imucald.can.dbc.mending import LeftOut, MendedKcd, MendedText, lost_multiplexers
 from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
 from imucald.core.libraries import standing_in
@@ -50,7 +49,7 @@ def parse(text: str, database_format: str, source: str) -> list[Message]:
             if database_format not in {"dbc", "kcd"} or not mended.mend(str(error)):
                 reason = _reason(first or error)
                 if database_format == "arxml" and not isinstance(error, RecursionError):
-                    reason = _cut(why_refused(error, text))
+                    reason = _cut(_why_refused(error, text))
                 raise DatabaseError(f"{source}: {reason}") from error
             first = first or error
         else:
@@ -127,6 +126,52 @@ def _reason(error: Exception) -> str:
 
 def _cut(text: str) -> str:
     return f"cannot be read: {text[:MAX_REASON]}{'...' if len(text) > MAX_REASON else ''}"
+
+
+def _why_refused(error: Exception, text: str) -> str:
+    """Return the reason with line, element and remedy; error: the parser's error for an ARXML text.
+
+    The parser assumes that all elements required by the standard are present. If one is missing, it
+    raises an error of Python that does not name the element. The traceback of this error contains
+    the element that was being parsed.
+    """
+    inner = getattr(error, "e_arxml", None) or error
+    found = _last_element(inner)
+    words = " ".join(str(inner).split()) or type(inner).__name__
+    is_missing = isinstance(inner, (AttributeError, TypeError, KeyError, IndexError))
+    if found is None:
+        without = "the file has no packages (AR-PACKAGES) that describe a bus; export the system "
+        return f"{without}description of the bus, or export the bus as DBC" if is_missing else words
+    tag, name = found
+    what = "an element that the standard requires is missing" if is_missing else words.rstrip(".")
+    remedy = "correct the file, remove this element, or export the bus as DBC"
+    return f"{_line(text, tag, name)}{tag} {name}: {what}; {remedy}"
+
+
+def _last_element(error: BaseException) -> tuple[str, str] | None:
+    """Tag and short name of the innermost named element that was being parsed."""
+    found = None
+    traceback = error.__traceback__
+    while traceback is not None:
+        for one in _named(traceback.tb_frame.f_locals.values()):
+            found = one
+        traceback = traceback.tb_next
+    return found
+
+
+def _named(values: Any) -> Iterator[tuple[str, str]]:
+    for value in values:
+        tag = getattr(value, "tag", None)
+        if isinstance(tag, str) and hasattr(value, "findtext"):
+            name = value.findtext("{*}SHORT-NAME")
+            if name:
+                yield tag.rpartition("}")[2], name
+
+
+def _line(text: str, tag: str, name: str) -> str:
+    begin = rf"<(?:\w+:)?{re.escape(tag)}\b[^>]*>\s*<(?:\w+:)?SHORT-NAME\b[^>]*>\s*"
+    found = re.search(begin + re.escape(name) + r"\s*<", text)
+    return "" if found is None else f"line {text.count(chr(10), 0, found.start()) + 1}, "
 
 
 def _message(found: Any, source: str) -> Message:

@@ -16,12 +16,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.can.dbc.bits import MAX_FRAME_BYTES, Field, field_of
+from imucald.can.columns import FD_BYTES
+from imucald.can.dbc.bits import Field, field_of
 from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
-
-MAX_MULTIPLEXER_VALUE = 2**63
-"""Limit of multiplexer values, because columns compare them as signed 64-bit integers."""
 
 EXACT_IN_DOUBLE = 2**53
 """Integers up to this value are exact in a double."""
@@ -31,10 +29,6 @@ MAX_SIGNAL_BITS = 64
 
 FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
 """The letter of module struct for a float, by its number of bits."""
-
-MAX_PHYSICAL = 1e300
-"""Largest physical value. A scale that gives larger values has no physical meaning and would cause
-an overflow."""
 
 
 class Scaling(Struct, frozen=True):
@@ -129,7 +123,7 @@ def resolve(message: Message, name: str) -> ResolvedSignal:
     place = f"{message.source}: {message.name}.{name}"
     scaling = scaling_of(signal, place)
     field = field_of(signal)
-    if not 0 < message.length <= MAX_FRAME_BYTES:
+    if not 0 < message.length <= FD_BYTES:
         raise DatabaseError(
             f"{place}: a message of {message.length} bytes does not fit a CAN frame"
         )
@@ -139,7 +133,8 @@ def resolve(message: Message, name: str) -> ResolvedSignal:
     for parent, ids in signal.selectors:
         multiplexer = message.signals.get(parent)
         is_broken = multiplexer is None or multiplexer.is_float or parent in seen or not ids
-        if is_broken or not 0 <= min(ids) <= max(ids) < MAX_MULTIPLEXER_VALUE:
+        # columns compare multiplexer values as signed 64-bit integers
+        if is_broken or not 0 <= min(ids) <= max(ids) < 2**63:
             raise DatabaseError(f"{place}: its multiplexer {parent} is broken")
         seen.add(parent)
     return ResolvedSignal(signal, field, scaling, signal.selectors)
@@ -169,7 +164,8 @@ def _check(signal: Signal, place: str) -> None:
         reach = abs(scale) * 2.0**MAX_SIGNAL_BITS + abs(offset)
     except OverflowError:
         reach = math.inf
-    if not reach < MAX_PHYSICAL or scale == 0.0:
+    # larger values have no physical meaning, and would cause an overflow
+    if not reach < 1e300 or scale == 0.0:
         raise DatabaseError(
             f"{place}: factor {_short(signal.scale)} and offset {_short(signal.offset)} do "
             "not give a physical value"

@@ -36,16 +36,18 @@ frame may have the same content.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.dbc.bits import Columns, read_bits
+from imucald.can.columns import FD_BYTES
+from imucald.can.dbc.bits import Columns, Field, read_bits
 from imucald.can.e2e.checksum_engine import Checksum
-from imucald.can.e2e.compiled_protection import CompiledJudge
 from imucald.can.e2e.protection_spec import ProtectionSpec
 from imucald.can.e2e.schedule import AHEAD, EARLIEST, HELD_S, IN_FORCE, TRIAL, WAITS, Past
 from imucald.core import compiled
+from imucald.core.compiled import Kernels
 
 REASONS = (
     "",
@@ -78,7 +80,7 @@ class MessageChecker:
         self.spec = spec
         self._size, self._longest = spec.size, spec.longest
         self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
-        self._compiled = CompiledJudge(spec, self._checksum)
+        self._compiled = _CompiledJudge(spec, self._checksum)
         self._counter = spec.counter
         self._is_protected = spec.counter is not None or spec.checksum is not None
         self._timeout = math.inf if spec.timeout is None else spec.timeout
@@ -194,7 +196,7 @@ class MessageChecker:
 
         t: (N,) [s]. data: (N, W). length: (N,).
         """
-        if compiled.kernels is not None and self._compiled.can_judge:
+        if compiled.kernels is not None:
             codes = self._compiled.judge(compiled.kernels, self.past, t, data, length)
         else:
             rows = zip(t.tolist(), data, length.tolist(), strict=True)
@@ -202,4 +204,69 @@ class MessageChecker:
             codes = np.array(judged, np.uint8)
         found = np.bincount(codes, minlength=len(REASONS)).tolist()
         self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
+        return codes
+
+
+def _places(field: Field | None) -> list[int]:
+    return [0, 0, 0] if field is None else [field.first_bit, field.length, int(field.is_big)]
+
+
+_WHOLE = (
+    "counter", "missed", "distrust", "lost", "phase", "early", "early_counter", "chain", "own",
+    "trials",
+)  # fmt: skip
+_TIMES = ("t", "due", "cycle", "begun", "steps", "tried", "early_t", "contradicted")
+"""Fields of `Past`, in the order of `State` and `Times` in `core/kernels/frames.c`."""
+
+
+class _CompiledJudge:
+    """The protection of a message as numbers and tables (see `core/kernels/frames.c`)."""
+
+    def __init__(self, spec: ProtectionSpec, checksum: Checksum | None) -> None:
+        counter, crc = spec.counter, spec.checksum
+        numbers = [spec.size, spec.longest, spec.recovery]
+        numbers += _places(None if counter is None else counter.field)
+        numbers += [1, 0] if counter is None else [counter.modulus, counter.max_jump or 0]
+        fixed, index = None, None
+        tables: tuple[Any, ...] = [0] * 256, [0], [b""]
+        if crc is None or checksum is None:
+            numbers += [0, 0, 0, 0, 0]
+        else:
+            is_big = crc.byte_order == "big"
+            numbers += [crc.size, crc.position, crc.width, int(is_big), crc.final_xor]
+            tables, fixed = checksum.tables, crc.fixed
+            index = crc.counter if len(tables[1]) > 1 else None
+        numbers += _places(index)
+        numbers += [*_places(fixed and fixed[0]), fixed[1] if fixed else 0]
+        table, starts, suffixes = tables
+        self._fixed = (
+            np.array(numbers, np.int64),
+            math.inf if spec.timeout is None else spec.timeout,
+            np.array(table, np.uint16),
+            np.array(starts, np.uint16),
+            np.frombuffer(b"".join(suffixes), np.uint8).reshape(len(suffixes), -1),
+        )
+
+    def judge(
+        self,
+        kernels: Kernels,
+        past: Past,
+        t: NDArray[np.float64],
+        data: Columns,
+        length: NDArray[np.uint8],
+    ) -> NDArray[np.uint8]:
+        """Return the reason codes (N,) of frames, and update `past` to the last frame."""
+        codes = np.empty(len(length), np.uint8)
+        state = [getattr(past, name) for name in _WHOLE]
+        whole = np.array([*state, len(past.data) or -1, len(past.overtaken)], np.int64)
+        times = np.array([getattr(past, name) for name in _TIMES], np.float64)
+        last_data = np.zeros((2, FD_BYTES), np.uint8)
+        last_data[0, : len(past.data)] = np.frombuffer(past.data, np.uint8)
+        last_data[1, : len(past.overtaken)] = np.frombuffer(past.overtaken, np.uint8)
+        kernels.judge_frames(t, data, length, *self._fixed, whole, times, last_data, codes)
+        *state, known, before = whole.tolist()
+        for name, value in zip(_WHOLE + _TIMES, state + times.tolist(), strict=True):
+            setattr(past, name, value)
+        past.data = last_data[0, : max(known, 0)].tobytes()
+        past.overtaken = last_data[1, :before].tobytes()
         return codes

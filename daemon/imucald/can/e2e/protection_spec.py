@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from imucald.can.columns import FD_LENGTHS
-from imucald.can.dbc.bits import MAX_FRAME_BYTES, Field, field_of
+from imucald.can.columns import FD_BYTES, FD_LENGTHS
+from imucald.can.dbc.bits import Field, field_of
 from imucald.can.dbc.message import Signal
 from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.core.errors import ConfigError
@@ -16,9 +16,8 @@ DEFAULT_RECOVERY = 3
 DEFAULT_TIMEOUT_CYCLES = 10.0
 """Silence, in cycle times, after which the counter may start at any value."""
 
-COUNTER_BITS = 56
-"""Largest counter [bits]. With more bits, the sum of steps in a chunk of frames does not fit 64
-bits. AUTOSAR counters have at most 32 bits."""
+COUNTER_BITS = 32
+"""Largest counter [bits], as in AUTOSAR E2E."""
 
 
 class CounterSpec(Struct, frozen=True):
@@ -61,7 +60,7 @@ class ProtectionSpec(Struct, frozen=True):
     cycle_is_sure: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.size <= MAX_FRAME_BYTES:
+        if not 0 <= self.size <= FD_BYTES:
             raise ConfigError(f"a message of {self.size} bytes does not fit a CAN frame")
         if self.counter is not None and self.counter.field.end_byte > self.size:
             raise ConfigError(f"the counter is outside a message of {self.size} bytes")
@@ -76,7 +75,7 @@ class ProtectionSpec(Struct, frozen=True):
     def longest(self) -> int:
         """Longest accepted frame [bytes], because bytes after the checked range are unprotected."""
         if self.checksum is None:
-            return MAX_FRAME_BYTES
+            return FD_BYTES
         if self.size <= FD_LENGTHS[0]:
             return self.size
         return next(length for length in FD_LENGTHS if length >= self.size)

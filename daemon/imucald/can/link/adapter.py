@@ -44,8 +44,6 @@ from imucald.core.libraries import how_to_install
 ECHO_S = 0.5
 """Largest delay of an echo [s]. The network stack returns it at once, but a busy loop reads late.
 A frame of another node is mistaken for ours only if id, counter, checksum and values are equal."""
-MAX_WAITING = 4096
-"""Largest number of expected echoes. If there are more, the oldest are dropped."""
 
 
 class Echoes:
@@ -53,7 +51,7 @@ class Echoes:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._sent: deque[tuple[float, int, bytes]] = deque(maxlen=MAX_WAITING)
+        self._sent: deque[tuple[float, int, bytes]] = deque(maxlen=4096)
 
     def sent(self, can_id: int, data: bytes) -> None:
         """Register a frame that was sent."""
@@ -71,9 +69,6 @@ class Echoes:
         return False
 
 
-SEND_WAIT = 0.002
-"""Longest time that an adapter may block when its transmit queue is full [s]."""
-
 FAILING_S = 0.2
 """A driver counts as gone if it fails all the time for this long [s]. Damaged frames cause shorter
 failures: the next attempt returns a good frame (an accelerometer sends at least ten per second) or
@@ -82,25 +77,7 @@ reports that no frame waits. The value equals the check period of a silent Socke
 MAX_FAILURES = 32
 """Largest number of consecutive failed attempts in one call."""
 
-FAILURE_PAUSE_S = 0.002
-"""Pause after `MAX_FAILURES` failures [s]. A driver that is gone fails at once and would use a
-whole core."""
-
-MAX_STAMP = 2**53 / 1e6
-"""Largest time stamp at which a float is exact to the microsecond [s]: the year 2255."""
-
 MULTICAST = "udp_multicast"
-IP_MULTICAST_ALL, IPV6_MULTICAST_ALL = 49, 29
-"""Constants of linux/in.h and linux/in6.h that Python does not define."""
-MOST_WAITING = 10_000
-"""Largest number of datagrams that are dropped at the start. A socket's receive buffer contains
-fewer datagrams at its start (208 KiB, at least 256 B per datagram).
-"""
-
-ECHOING = (MULTICAST,)
-"""Interfaces of python-can that return our own frames without a mark."""
-
-_IN_MEMORY = ("virtual",)  # they have no filter; the link's is faster than python-can's
 
 
 class Adapter:
@@ -133,13 +110,15 @@ class Adapter:
         self._failures = 0  # failures of the driver since it last worked
         self._failing_since = 0.0
         self._reason = ""
-        self._echoes = Echoes() if interface in ECHOING else None
+        self._echoes = Echoes() if interface == MULTICAST else None
         arguments: dict[str, Any] = dict(options or {})
-        if interface not in _IN_MEMORY:
+        # it has no filter; the link's is faster than python-can's
+        if interface != "virtual":
             arguments["can_filters"] = [_filter(match) for match in matches]
         if bitrate is not None:
             arguments["bitrate"] = bitrate
-        if fd and interface not in _IN_MEMORY:
+        # it has no filter; the link's is faster than python-can's
+        if fd and interface != "virtual":
             arguments["fd"] = True
         try:
             self._bus = can.Bus(interface=interface, channel=channel, **arguments)
@@ -195,7 +174,8 @@ class Adapter:
                     raise OSError(self._reason) from error
                 failed += 1
                 if failed == MAX_FAILURES:
-                    time.sleep(min(timeout, FAILURE_PAUSE_S))
+                    # a driver that is gone fails at once, and would use a whole core
+                    time.sleep(min(timeout, 0.002))
                     break
             else:
                 failed = 0
@@ -251,7 +231,8 @@ class Adapter:
             bitrate_switch=fd and bitrate_switch,
         )
         try:
-            self._bus.send(message, timeout=SEND_WAIT)
+            # the transmit queue may be full
+            self._bus.send(message, timeout=0.002)
         except Exception as error:
             raise OSError(errno.EIO, _reason(error)) from error
         if self._echoes is not None:
@@ -271,11 +252,12 @@ def _hear_own_group_only(descriptor: int) -> None:
     joined groups to every socket of a port. Datagrams that came before are dropped."""
     with socket.socket(fileno=os.dup(descriptor)) as same:
         if same.family == socket.AF_INET6:
-            same.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
+            same.setsockopt(socket.IPPROTO_IPV6, 29, 0)  # IPV6_MULTICAST_ALL (linux/in6.h)
         else:
-            same.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)
+            same.setsockopt(socket.IPPROTO_IP, 49, 0)  # IP_MULTICAST_ALL (linux/in.h)
         with contextlib.suppress(BlockingIOError):
-            for _ in range(MOST_WAITING):
+            # more than the receive buffer holds: 208 KiB, at least 256 B per datagram
+            for _ in range(10_000):
                 same.recv(1, socket.MSG_DONTWAIT)
 
 
@@ -318,7 +300,8 @@ def _stamp(message: can.Message) -> float:
     stamp = message.timestamp or time.time()
     if not isinstance(stamp, int | float):
         raise TypeError(f"its time stamp is {stamp!r:.40}")
-    if not (math.isfinite(stamp) and 0.0 <= stamp <= MAX_STAMP):
+    # exact to the microsecond: the year 2255
+    if not (math.isfinite(stamp) and 0.0 <= stamp <= 2**53 / 1e6):
         raise ValueError(f"its time stamp is {stamp!r:.40}")
     return round(stamp * 1e6) / 1e6
 

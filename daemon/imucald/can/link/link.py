@@ -34,8 +34,7 @@ from imucald.can.columns import (
     IdMatch,
 )
 from imucald.can.id_filter import FrameClass, LinkIdFilter
-from imucald.can.link.outbox import Outbox
-from imucald.can.link.port import Port, open_port
+from imucald.can.link.port import Outbox, Port, open_port
 from imucald.can.link.socketcan import CAN_ERR_BUSOFF, CAN_ERR_RESTARTED, MAX_BATCH, Frame
 from imucald.core.errors import LinkError
 from imucald.core.text import counted
@@ -186,19 +185,12 @@ __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
 MIN_RETRY = 0.05
 """First pause before a lost interface is opened again [s]. The pause doubles after each attempt."""
 
-MAX_RETRY = 0.2
-"""Longest pause before a lost interface is opened again [s]. Frames must resume within 1 s, also on
-a busy machine."""
-
 CHECK_PERIOD = 0.2
 """Period of the check that the interface of a silent bus still exists and is up [s]."""
 
 RECEIVE_BUFFER = 4 << 20
 """Requested size of the kernel's receive buffer [bytes]. With its overhead, a buffer of this size
 holds about 4,000 frames: some seconds of a busy bus."""
-
-FLUSH_PERIOD = 0.001
-"""Pause between attempts to send while the send queue is full [s]."""
 
 SEND_REASONS = {
     errno.ENETDOWN: "down",
@@ -291,7 +283,7 @@ class Link:
         try:
             if self._outbox:
                 self._flush(port)
-                left = min(left, FLUSH_PERIOD)
+                left = min(left, 0.001)
             self.is_empty = False
             frames = port.receive(min(left, CHECK_PERIOD))
             self.is_empty = len(frames) < MAX_BATCH
@@ -434,7 +426,8 @@ class Link:
             self._enter(LinkState.ABSENT, f"{error}; waiting")
         if port is None:
             self._next_try = self._clock() + self._pause
-            self._pause = min(2 * self._pause, MAX_RETRY)
+            # frames must resume within 1 s, also on a busy machine
+            self._pause = min(2 * self._pause, 0.2)
         return port
 
     def _failed(self, port: Port, error: OSError) -> None:

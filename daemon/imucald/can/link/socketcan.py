@@ -28,6 +28,7 @@ from imucald.can.columns import (
     CAN_ERR_FLAG,
     CAN_RTR_FLAG,
     CANFD_BRS,
+    CANFD_FDF,
     CLASSIC_BYTES,
     FD_LENGTHS,
     IdMatch,
@@ -59,8 +60,6 @@ _SO_MEMINFO = 55
 _MEMINFO = struct.Struct("@9I")
 """Layout of a socket's memory information (linux/sock_diag.h). The last number counts the frames
 that the kernel dropped, as in `SO_RXQ_OVFL`."""
-_CAN_RAW_ERR_FILTER = 2
-_CAN_RAW_FD_FRAMES = 5
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 1
 _FILTER = struct.Struct("=II")
@@ -69,7 +68,6 @@ _FD = struct.Struct("=IBBxx64s")
 _TIMESPEC = struct.Struct("@ll")
 _DROPS = struct.Struct("@I")
 _FLAGS_REQUEST = struct.Struct("@16sH14x")
-_CANFD_FDF = 0x04
 
 
 class SocketCan:
@@ -113,13 +111,13 @@ class SocketCan:
         sock.setblocking(False)
         sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed_filters(matches))
         classes = CAN_ERR_BUSOFF | CAN_ERR_RESTARTED | CAN_ERR_CONTROLLER
-        sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, classes)
+        sock.setsockopt(socket.SOL_CAN_RAW, 2, classes)  # CAN_RAW_ERR_FILTER
         sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 0)
         sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_LOOPBACK, 1)  # other programs here
         sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         if fd:
-            sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
+            sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         if receive_buffer:
             try:  # exceeds the system's limit if we have the right
                 sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
@@ -205,7 +203,7 @@ class SocketCan:
             self._socket.send(_CLASSIC.pack(can_id, len(data), data))
             return
         length = next(size for size in FD_LENGTHS if size >= len(data))
-        flags = _CANFD_FDF | (CANFD_BRS if bitrate_switch else 0)
+        flags = CANFD_FDF | (CANFD_BRS if bitrate_switch else 0)
         self._socket.send(_FD.pack(can_id, length, flags, data))
 
     def is_same_interface(self) -> bool:

@@ -61,10 +61,7 @@ _LINE = re.compile(
     re.VERBOSE,
 )
 _STAMP = re.compile(rb"\([ \t]{0,32}[0-9]{1,19}\.[0-9]{1,19}\)(?=[ \t]|$)")
-_NEGATIVE = re.compile(rb"\([ \t]{0,32}-[0-9]+\.[0-9]+\)")
 _CHANNEL = re.compile(rb'[!"$-~]{1,32}')
-_ID = re.compile(rb"[0-7][0-9A-Fa-f]{2}|[0-3][0-9A-Fa-f]{7}")
-_HEX = re.compile(rb"[0-9A-Fa-f]*")
 
 
 class Line(NamedTuple):
@@ -121,7 +118,7 @@ def _reason(text: bytes) -> str:
     if b"\0" in text:
         return "nul_bytes"
     stamp = _STAMP.match(text)
-    if stamp is None and _NEGATIVE.match(text):
+    if stamp is None and re.match(rb"\([ \t]{0,32}-[0-9]+\.[0-9]+\)", text):
         return "negative_timestamp"
     if stamp is None:
         return "bad_timestamp" if text.startswith(b"(") else "not_candump"
@@ -146,12 +143,12 @@ def _frame_reason(frame: bytes) -> str:
     can_id, mark, data = frame.partition(b"#")
     if not mark:
         return "cut_line"
-    if not _ID.fullmatch(can_id):
+    if not re.fullmatch(rb"[0-7][0-9A-Fa-f]{2}|[0-3][0-9A-Fa-f]{7}", can_id):
         return "bad_id"
     most = 16
     if data.startswith(b"#"):
         data, most = data[2:], 128
-    if not _HEX.fullmatch(data):
+    if not re.fullmatch(rb"[0-9A-Fa-f]*", data):
         return "bad_hex"
     if len(data) > most:
         return "too_long"

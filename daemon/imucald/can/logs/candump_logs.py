@@ -23,16 +23,8 @@ from imucald.can.logs.log_format import DamageError, ReadStatistics
 from imucald.can.logs.text_blocks import Bytes, OpenLog
 from imucald.core import compiled
 
-CHUNK_FRAMES: Final = 32_768
-"""Number of frames collected before they are passed on, since later steps have costs per chunk."""
-
-CHUNK_BLOCKS: Final = 8
-"""Frames are passed on at the latest after this number of blocks, so that progress is visible."""
-
 PIECE_LINES: Final = 64
 """Number of lines of a damaged file that are parsed together."""
-
-NEWLINE: Final = 0x0A
 
 KEPT_BYTES: Final = 16 << 20
 """Freed memory that the C library may keep for reuse [bytes]. The limit is more than the arrays of
@@ -167,7 +159,7 @@ def _cautiously(
 ) -> Iterator[tuple[FrameColumns, int]]:
     """Parse a block of a damaged file in small pieces. A damaged piece is dropped completely."""
     start, lines = 0, place[1]
-    ends = np.flatnonzero(buf[:size] == NEWLINE)[PIECE_LINES - 1 :: PIECE_LINES] + 1
+    ends = np.flatnonzero(buf[:size] == 0x0A)[PIECE_LINES - 1 :: PIECE_LINES] + 1
     for end in [*ends.tolist(), size]:
         if end == start:
             continue
@@ -202,7 +194,9 @@ def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:
         if len(part):
             parts.append(part)
             frames += len(part)
-        if parts and (frames >= CHUNK_FRAMES or count >= CHUNK_BLOCKS):
+        # later steps have costs per chunk
+        # so that progress is visible
+        if parts and (frames >= 32_768 or count >= 8):
             yield concatenate(parts)
             parts, count, frames = [], 0, 0
     if parts:

@@ -33,9 +33,6 @@ from imucald.core.errors import LogError
 
 REMEDY: Final = "record with: candump -l can0"
 
-LOOK_LINES: Final = 200
-"""Number of first lines used to distinguish time differences from times since the start."""
-
 OTHER_LINES: Final = 64
 """This number of consecutive lines with another form of stamps means another recording, not
 damage."""
@@ -236,7 +233,7 @@ class CandumpScreenReader:
     def _take(self, lines: list[bytes], name: str, before: int, last: bool) -> None:
         lines = [_COLOUR.sub(b"", line).rstrip() for line in lines]
         if self._time is None:
-            self._time = self._look(lines[:LOOK_LINES], name)
+            self._time = self._look(lines[:200], name)
         for number, line in enumerate(lines, before + 1):
             if line and not line.startswith(b"\t"):  # explanation of an error frame (-e)
                 reason = self._line(self._time, line, name, number)

@@ -29,9 +29,7 @@ from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.core.errors import LogError
 
-MICRO: Final = 1e-6
 _HEADING: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*Time Stamp,ID,Extended,", re.IGNORECASE)
-_NEEDED: Final = ("time stamp", "id", "extended", "bus", "len")
 
 
 class GvretReader:
@@ -74,7 +72,7 @@ class GvretReader:
             return ""
         at = self._places
         try:
-            t = int(words[at["time stamp"]]) * MICRO
+            t = int(words[at["time stamp"]]) * 1e-6
             can_id = int(words[at["id"]], 16)
             length = int(words[at["len"]])
             bus = int(words[at["bus"]])
@@ -97,7 +95,9 @@ def _places(line: bytes, name: str) -> dict[str, int]:
     """Return the position of each column. Raises LogError if a required column is missing."""
     words = line.decode("utf-8-sig", "replace").strip().lower().split(",")
     places = {word.strip(): i for i, word in enumerate(words)}
-    missing = [word for word in (*_NEEDED, "d1") if word not in places]
+    missing = [
+        word for word in ("time stamp", "id", "extended", "bus", "len", "d1") if word not in places
+    ]
     if missing:
         raise LogError(f"{name}:1: the column {missing[0]!r} of SavvyCAN's CSV is missing")
     return places

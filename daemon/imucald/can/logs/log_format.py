@@ -19,12 +19,6 @@ from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import damage_within
 from imucald.core.errors import LogError
 
-MAX_PROBLEMS: Final = 20
-"""Largest number of stored texts about rejected lines. The limit bounds the memory for any file."""
-
-FOREIGN_LINE: Final = "not_candump"
-"""The reason for lines that do not look like a frame at all."""
-
 DAMAGED_STEP: Final = 10.0
 """In a damaged file, a larger step of time stamps is a sign of damage [s]. The value is equal to
 the longest gap that does not start a new segment (`runtime.timebase`)."""
@@ -90,7 +84,8 @@ class ReadStatistics:
         if self.damage and reason != "damaged_file":
             raise DamageError(text)
         self.rejected[reason] += 1
-        if len(self.problems) < MAX_PROBLEMS:
+        # bounds the memory for any file
+        if len(self.problems) < 20:
             self.problems.append(text)
 
     def reject_line(self, reason: str, name: str, number: int, words: str) -> None:
@@ -98,7 +93,7 @@ class ReadStatistics:
         as a header or comments, including blank lines) are one problem with a count."""
         text = f"{name}:{number}: {words}"
         run = self._foreign
-        if reason != FOREIGN_LINE or self.strict or self.damage:
+        if reason != "not_candump" or self.strict or self.damage:
             self.reject(reason, text)
         elif run is not None and run.name == name and run.last < number <= run.last + 2:
             self.rejected[reason] += 1

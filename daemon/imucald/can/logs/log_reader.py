@@ -20,10 +20,9 @@ from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import shown
 from imucald.can.logs.candump_writer import CandumpWriter
-from imucald.can.logs.first_frames import FirstFrames, refuse_same_files
 from imucald.can.logs.log_format import CountsTime, Cycles, LogFormat, ReadStatistics
-from imucald.can.logs.overlaps import Overlaps
 from imucald.can.logs.recorder_clock import by_the_clock
+from imucald.can.logs.recording_files import FirstFrames, Overlaps, refuse_same_files
 from imucald.can.logs.text_blocks import OpenLog, is_read_once, looked_at
 from imucald.can.logs.unpacking import first_bytes, plain_ending
 from imucald.core.errors import LogError
@@ -48,11 +47,6 @@ def _format(name: str) -> type[LogFormat]:
     found: type[LogFormat] = importlib.import_module(f"{logs.__name__}.{name}").FORMAT
     return found
 
-
-CANDUMP_ENDING: Final = ".log"
-"""Suffix of candump text. An empty file is read as candump text."""
-
-CSV_ENDING: Final = ".csv"
 
 _MAY_BE_CANDUMP: Final = re.compile(rb"^\(\d", re.MULTILINE)
 """Beginning of a line in a damaged candump log that has no complete line in its first bytes."""
@@ -186,7 +180,7 @@ def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | Op
     if found is not None:
         return found
     ending = plain_ending(Path(str(path)))
-    if ending == CSV_ENDING and head:
+    if ending == ".csv" and head:
         first = shown(head.split(b"\n")[0].strip())
         raise LogError(
             f"{path}: its first line is '{first}'; imucald knows the CSV of SavvyCAN "
@@ -203,7 +197,8 @@ def _reader_for(readers: Iterable[LogFormat], head: bytes, path: Path | str | Op
                 "ASC or BLF, or record with: candump -l can0"
             )
     by_name = next((r for r in readers if ending in r.endings), None)
-    candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
+    # an empty file, too, is read as candump text
+    candump = next(r for r in readers if ".log" in r.endings)
     if by_name in (None, candump) and head.strip() and not _MAY_BE_CANDUMP.search(head):
         raise LogError(
             f"{path}: the format of this log is not known; it begins with "

@@ -20,6 +20,7 @@ from imucald.can.columns import (
     CAN_ERR_FLAG,
     CAN_RTR_FLAG,
     CAN_SFF_MASK,
+    CANFD_FDF,
     CLASSIC_BYTES,
     FD_BYTES,
     Channels,
@@ -51,10 +52,6 @@ OTHER_LINKS: Final = {
     220: "USB",
 }
 """Names of other link types, for error texts (tcpdump.org/linktypes)."""
-VOTERS: Final = 64
-"""Number of first packets used to find the byte order of ids."""
-FD_MARK: Final = 0x04
-"""The flag CANFD_FDF: the frame has CAN FD format."""
 
 
 class PcapReader:
@@ -90,7 +87,7 @@ class PcapReader:
         try:
             reader = _opened(file, name)
             packets = iter(reader)
-            first = list(itertools.islice(packets, VOTERS))
+            first = list(itertools.islice(packets, 64))
             order = _order_of_ids([packet for _, packet in first], reader.datalink())
             if order == "<":
                 self._statistics.note(
@@ -128,7 +125,7 @@ class PcapReader:
         if word & CAN_RTR_FLAG:
             self._statistics.ignore("remote_frame")
             return ""
-        fd = bool(marks & FD_MARK) or protocol == _CAN_PROTOCOLS[1] or length > CLASSIC_BYTES
+        fd = bool(marks & CANFD_FDF) or protocol == _CAN_PROTOCOLS[1] or length > CLASSIC_BYTES
         data = packet[8 : 8 + length]
         if len(data) != length or length > FD_BYTES:
             return "bad_length"

@@ -21,7 +21,6 @@ from imucald.can.columns import (
     FrameColumns,
 )
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.blf_end import blf_bomb, blf_end
 from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown, words_of
 from imucald.can.logs.frame_batches import (
     BATCH_FRAMES,
@@ -30,25 +29,11 @@ from imucald.can.logs.frame_batches import (
     columns_of_frames,
 )
 from imucald.can.logs.log_format import ReadStatistics
-from imucald.can.logs.mf4_end import mf4_end
-from imucald.can.logs.sqlite_table import why_not_stored
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import FREE_BYTES, InPieces, plain_ending, plain_file
+from imucald.can.logs.untrusted_files import blf_faults, mf4_end, why_not_stored
 from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
-
-PROGRESS_FRAMES: Final = 20_000
-"""Number of frames between two reports of progress."""
-
-SPACED_FORMATS: Final = (".asc", ".trc")
-"""Formats that write data bytes separated by spaces, with two digits each."""
-
-LAST_BYTES: Final = 1024
-"""Number of bytes read at the end of a file with spaces between data bytes. The last line is
-shorter than this number."""
-
-MIN_TOKENS: Final = 6
-"""Smallest number of words in a line before the first data byte."""
 
 _BEGINNINGS: Final = {
     ".blf": re.compile(rb"LOGG"),
@@ -117,8 +102,8 @@ class PythonCanReader:
         before = self._statistics.frames_read
         kind = _kind(plain, path)
         cut = _ends_in_half_a_byte(plain, kind)
-        end = blf_end(plain) if kind == ".blf" else None
-        if why := _why_unreadable(plain, kind):
+        why, end = _faults(plain, kind)
+        if why:
             raise LogError(f"{path}: cannot be read: {why}")
         batch: list[GatheredFrame] = []
         frame, counted, reader = None, before, None
@@ -133,7 +118,7 @@ class PythonCanReader:
                     if len(batch) > BATCH_FRAMES:
                         yield columns_of_frames(batch[:-1], self._channels.names)
                         batch = batch[-1:]
-                    if number % PROGRESS_FRAMES == 0:
+                    if number % 20_000 == 0:
                         report(_position(reader))
             if cut and self._statistics.frames_read > counted:
                 self._take_back(batch, frame, path)
@@ -223,12 +208,12 @@ def _kind(plain: Path, named: Path) -> str:
     return found or plain_ending(named)
 
 
-def _why_unreadable(plain: Path, kind: str) -> str | None:
-    """Return why a file must not be passed to a reader; None if the reader may try."""
-    if kind == ".blf" and (why := blf_bomb(plain)):
-        return f"{why}, as no recording does"
+def _faults(plain: Path, kind: str) -> tuple[str | None, str | None]:
+    """Return why a file must not be passed to a reader, and why it is incomplete; None if not."""
+    if kind == ".blf":
+        return blf_faults(plain)
     judges = {".mf4": mf4_end, ".db": why_not_stored}
-    return judges[kind](plain) if kind in judges else None
+    return (judges[kind](plain) if kind in judges else None), None
 
 
 def _open(path: Path, kind: str, named: Path) -> Any:
@@ -323,13 +308,15 @@ def _ends_in_half_a_byte(path: Path, kind: str) -> bool:
     """Return whether a text log was cut within its last data byte. python-can's readers read the
     remaining digit as the whole byte. Any other cut makes the data too short.
     """
-    if kind not in SPACED_FORMATS:
+    if kind not in (".asc", ".trc"):
         return False
     with path.open("rb") as file:
-        file.seek(-min(LAST_BYTES, path.stat().st_size), os.SEEK_END)
+        # the last line is shorter
+        file.seek(-min(1024, path.stat().st_size), os.SEEK_END)
         last_line = file.read().rpartition(b"\n")[2]
     tokens = last_line.split()
-    if len(tokens) <= MIN_TOKENS or not last_line.endswith(tokens[-1]):
+    # words of a line before its first data byte
+    if len(tokens) <= 6 or not last_line.endswith(tokens[-1]):
         return False
     # One digit that does not follow a byte or the length is the length of an empty frame.
     return len(tokens[-1]) == 1 and _BYTE_OR_LENGTH.fullmatch(tokens[-2]) is not None

@@ -30,9 +30,6 @@ BLOCK_BYTES: Final = 1 << 20
 
 STDIN: Final = "-"
 
-LOOK_BYTES: Final = 1 << 14
-"""Number of first bytes used to find the format."""
-
 
 class OpenLog(Struct, frozen=True):
     """A log that the caller has opened and will close. name: for messages, and for its suffix."""
@@ -103,7 +100,7 @@ def looked_at(
             # a pipe may deliver its first bytes in pieces: a buffer collects them
             source = io.BufferedReader(opened) if isinstance(opened, io.FileIO) else opened
         try:
-            head = source.read(LOOK_BYTES) or b""
+            head = source.read(1 << 14) or b""
         except OSError as error:
             raise LogError(f"{path}: cannot be read: {error.strerror}") from error
         if once or isinstance(path, OpenLog):

@@ -15,14 +15,8 @@ from typing import Any, BinaryIO, Final, Protocol
 from imucald.core.errors import LogError
 from imucald.core.libraries import how_to_install
 
-COMPRESSED_BYTES: Final = 1 << 18
-"""Number of compressed bytes per read."""
-
 PLAIN_BYTES: Final = 1 << 20
 """Number of bytes that are unpacked in one step."""
-
-_GZIP_FORMAT: Final = 31
-"""The code of zlib for a gzip header with the largest window."""
 
 DAMAGE: Final = (OSError, EOFError, zlib.error, ValueError)
 """Errors for damaged compressed data (bzip2: OSError; xz, Zstandard: converted to ValueError)."""
@@ -77,7 +71,8 @@ class _Zlib(_Inner):
     """A gzip member with the interface of the other modules' decompressors."""
 
     def __init__(self) -> None:
-        self._inner = zlib.decompressobj(_GZIP_FORMAT)
+        # a gzip header with the largest window
+        self._inner = zlib.decompressobj(31)
 
     @property
     def needs_input(self) -> bool:
@@ -218,12 +213,9 @@ def packed_as(head: bytes) -> Callable[[], Member] | None:
     return next((m for magic, m in _MEMBERS.items() if head.startswith(magic)), None)
 
 
-PACKED_ENDINGS: Final = (".gz", ".xz", ".bz2", ".zst")
-
-
 def plain_ending(path: Path) -> str:
     """Return the suffix of a file's name in lower case, without the suffix of its compression."""
-    packed = path.suffix.lower() in PACKED_ENDINGS
+    packed = path.suffix.lower() in (".gz", ".xz", ".bz2", ".zst")
     return Path(path.stem if packed else path.name).suffix.lower()
 
 
@@ -238,7 +230,7 @@ class Unpacked:
         self._input = head
         self._new = member
         self._member = member()
-        self._at_once = _ZSTD_PIECE if isinstance(self._member, _Zstd) else COMPRESSED_BYTES
+        self._at_once = _ZSTD_PIECE if isinstance(self._member, _Zstd) else 1 << 18
 
     def readinto(self, view: memoryview) -> int:
         """Read the available bytes, up to the view's length. Return their number; 0 at the end.

@@ -1,19 +1,27 @@
-"""Check whether an MF4 file is complete and safe for asammdf, before asammdf opens it.
+"""Check files before the reader of another library opens them: are they complete and safe?
 
-For a cut file, asammdf only reports that it cannot seek. The compiled code of asammdf trusts the
-stated position of a channel. A position outside the record makes it write to wrong memory, and the
-process crashes later. A list that links back to itself causes an endless loop. So does a list of
-data with several parts in an unfinished file. asammdf takes memory for the stated records,
+MF4: for a cut file, asammdf only reports that it cannot seek. The compiled code of asammdf trusts
+the stated position of a channel. A position outside the record makes it write to wrong memory, and
+the process crashes later. A list that links back to itself causes an endless loop. So does a list
+of data with several parts in an unfinished file. asammdf takes memory for the stated records,
 whatever the length of their data.
 
 Layout of ASAM MDF 4: an identification of 64 bytes, then blocks, each with its length and links to
 other blocks. A file that its recorder did not finish (UnFinMF) does not state all lengths. Its
 missing parts are not an error, but its unpacked size and the positions of its channels are checked.
 asammdf counts the records of such a file itself.
+
+BLF: python-can's reader does not report a cut file. Layout: Vector's "Binary Logging Format", as
+python-can (can/io/blf.py) reads and writes it.
+
+SQLite: a view, a virtual table or a generated column is computed while it is read. A file of 4 kB
+can then produce endless rows, or one row of a gigabyte.
 """
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 import struct
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -196,3 +204,68 @@ def mf4_end(path: Path) -> str | None:
             waiting += [link for link in links if link not in seen]
             seen.update(links)
     return f"it names more than {MAX_BLOCKS} blocks" if waiting else structure.damage()
+
+
+_FILE_HEADER: Final = struct.Struct("<4sLBBBBBBBBQQ")
+"""Signature, size of the header, application, version, ..., size of the file, size unpacked."""
+_OBJECT: Final = struct.Struct("<4sHHLL")
+"""Signature, size of the header, its version, size of the object, kind."""
+_CONTAINER_HEAD: Final = struct.Struct("<H14x")
+"""The compression of a container; its contents follow."""
+
+
+def blf_faults(path: Path) -> tuple[str | None, str | None]:
+    """Return why a BLF file must not be read, and why it is incomplete; None if not."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_FILE_HEADER.size)
+        if len(header) < _FILE_HEADER.size:
+            return None, "the file is cut within its header"
+        _, at, *_, stated, _ = _FILE_HEADER.unpack(header)
+        if at > size:
+            return None, "the file is cut within its header"
+        end = f"the file is cut: it has {size} of {stated} bytes" if stated > size else None
+        while at < size:
+            file.seek(at)
+            begin = file.read(_OBJECT.size)
+            if len(begin) < _OBJECT.size:
+                break
+            signature, _, _, length, kind = _OBJECT.unpack(begin)
+            if signature != b"LOBJ" or length < _OBJECT.size:
+                return None, end or f"the file is damaged at byte {at}"
+            head = file.read(_CONTAINER_HEAD.size) if kind == 10 else b""
+            packed = length - _OBJECT.size - _CONTAINER_HEAD.size
+            if head[:1] == b"\x02" and unpacks_to_too_much(file, packed):
+                return (
+                    f"the unpacked container at byte {at} would be larger than "
+                    f"{FREE_BYTES >> 20} MiB, as no recording does"
+                ), end
+            if at + length > size:
+                break
+            at += length + length % 4
+        else:
+            return None, end
+    if 0 <= size - at < 4:  # python-can may omit the padding after the last object
+        return None, end
+    return None, end or f"the file is cut: it ends within the block at byte {at}"
+
+
+def why_not_stored(path: Path) -> str | None:
+    """Return why the messages cannot be read. None if they are a plain table. Missing parts also
+    give None, because the reader reports them."""
+    with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
+        try:
+            found = db.execute(
+                "SELECT type, sql FROM sqlite_master WHERE lower(name) = ?", ("messages",)
+            ).fetchall()
+            kinds = [kind for kind, _ in found if kind in ("table", "view")]
+            if not kinds:
+                return None
+            is_virtual = any(str(sql).upper().startswith("CREATE VIRTUAL") for _, sql in found)
+            if kinds != ["table"] or is_virtual:
+                return "'messages' is not a plain table"
+            columns = db.execute("PRAGMA table_xinfo(messages)").fetchall()
+        except sqlite3.Error as error:
+            return str(error)
+    computed = [str(name) for _, name, *_, hidden in columns if hidden]
+    return "'messages' has generated columns" if computed else None

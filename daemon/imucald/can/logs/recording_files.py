@@ -1,4 +1,5 @@
-"""Detect errors from the first frames of each file: the same file twice, stamps not in seconds."""
+"""Detect errors of the files of one recording: the same file twice, time stamps that are not in
+seconds, files that overlap in time or are in the wrong order."""
 
 from __future__ import annotations
 
@@ -27,15 +28,9 @@ UNITS: Final = {
     1e-6: "seconds where the format has microseconds",
 }
 """The unit of time stamps, by the factor by which they are too large."""
-YEAR_10000: Final = 253_402_300_800.0
-"""The year 10000 in seconds since 1970. No recording has a later time stamp in seconds, and a time
-stamp of this century in milliseconds is larger than this number."""
-YEAR_2100: Final = 4_102_444_800.0
 TOLERANCE: Final = 1.5
 """Accepted factor between a message's cycle and the stated cycle, as in `check`."""
 IS_THE_SAME: Final = "is the same recording as"
-MIN_MESSAGES: Final = 2
-"""Smallest number of messages as evidence, since the stated cycle of one may be wrong."""
 
 Log = Path | str | OpenLog
 
@@ -106,7 +101,8 @@ class FirstFrames:
                 if match.channel in (None, frames.channels[index]):
                     between = np.diff(t[channel == index])
                     found += [median(between) / cycle] if len(between) else []
-        if len(found) < MIN_MESSAGES:
+        # the stated cycle of one may be wrong
+        if len(found) < 2:
             return None
         least, most = min(found), max(found)
         return next((f for f in UNITS if f / TOLERANCE < least <= most < f * TOLERANCE), None)
@@ -115,12 +111,64 @@ class FirstFrames:
 def _by_date(t: float) -> float | None:
     """Return the divisor that converts a stamp to seconds of this century; None if the stamp is not
     too large."""
-    if t < YEAR_10000:
+    # the year 10000: more than any stamp in seconds, less than one of this century in ms
+    if t < 253_402_300_800.0:
         return None
-    return next((f for f in UNITS if f > 1.0 and t / f < YEAR_2100), None)
+    # the year 2100
+    return next((f for f in UNITS if f > 1.0 and t / f < 4_102_444_800.0), None)
 
 
 def same_recording(log: Log, other: Log) -> LogError:
     """Return the error for a recording that is given with two names."""
     text = f"{log}: {IS_THE_SAME} {other}: it would count twice; leave one of them out"
     return LogError(text)
+
+
+CLOCK_SET_S: Final = 946_684_800.0
+"""The year 2000 [s]. A log that begins earlier has no time of day; it counts from its start."""
+
+
+def overlap_words(later: object, earlier: object, seconds: float, shorter_s: float) -> str:
+    """Return the text for two logs that overlap; shorter_s: length of the shorter one."""
+    # two logs of equal length seldom begin with the same frame
+    if seconds >= 0.99 * shorter_s:
+        return f"{later} and {earlier} overlap completely in time; are their clocks right?"
+    return f"{later} begins {seconds:.1f} s before {earlier} ends"
+
+
+class Overlaps:
+    """The first and last time stamp of the wanted frames of each file."""
+
+    def __init__(self) -> None:
+        self._spans: dict[str, tuple[float, float]] = {}
+
+    def register_frames(self, log: Log, frames: FrameColumns) -> None:
+        """Register frames of a file (at least one)."""
+        first, last = float(frames.t.min()), float(frames.t.max())
+        before = self._spans.get(str(log), (first, last))
+        self._spans[str(log)] = min(before[0], first), max(before[1], last)
+
+    def texts(self) -> Iterator[str]:
+        """Yield a text for each problem. Files without a time of day are ignored."""
+        latest: tuple[str, float, float] | None = None
+        for log, (first, last) in self._spans.items():
+            if first < CLOCK_SET_S:
+                continue
+            if latest is not None:
+                name, begin, end = latest
+                shared = min(end, last) - max(begin, first)
+                if shared > 0.0:
+                    later, earlier = (log, name) if first >= begin else (name, log)
+                    words = overlap_words(later, earlier, shared, min(last - first, end - begin))
+                    mark = "" if words.endswith("?") else ":"
+                    yield (
+                        f"{words}{mark} the frames in both logs count twice; "
+                        "cut them out of one of the logs"
+                    )
+                elif last < begin:
+                    yield (
+                        f"{log} is earlier than {name}, which is read before it: name the pieces "
+                        "in the order of their times"
+                    )
+            if latest is None or last > latest[2]:
+                latest = log, first, last

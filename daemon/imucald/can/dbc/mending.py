@@ -1,4 +1,4 @@
-"""Read a DBC with damaged lines. Only the message or signal of a damaged line is left out.
+"""Read a DBC or a KCD with damaged parts: only the message or signal of such a part is left out.
 
 Removed text is replaced with spaces, so that all other lines keep their numbers.
 """
@@ -7,17 +7,13 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from xml.parsers import expat
 
 from msgspec import Struct
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK
 from imucald.can.dbc.message import Message
-
-MOST_ATTEMPTS = 40
-"""Largest number of times that a database is parsed again after damaged text was removed."""
-MOST_CHARACTERS = 2_000_000
-"""Largest number of characters parsed in all attempts: about 20 s on a slow processor."""
 
 _STATEMENT = re.compile(
     r"^[ \t]*(VERSION|NS_|BS_|BU_|BO_|SG_|CM_|VAL_TABLE_|VAL_|BA_DEF_DEF_REL_|BA_DEF_REL_|BA_REL_"
@@ -30,10 +26,8 @@ _TEXT = re.compile(r'"(?:\\.|[^"\\])*+("?)')
 """
 _MESSAGE = re.compile(r"BO_\s+(\S+)\s+([^\s:]*)\s*:\s*(\d*)")
 _SIGNAL = re.compile(r"SG_\s+([^\s:]+)(?:[ \t]+(M|m\d+M?)\b)?")
-_REFERENCE = re.compile(r"(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+([^\s:]+)")
 _UNREADABLE = "this line cannot be read as DBC; write it like the lines around it"
 _NO_MULTIPLEXER = "is not used, since the line of its multiplexer cannot be read; correct that line"
-_ONE_LINE = frozenset({"BO_", "SG_"})
 _DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
 """Keywords of statements that must not be removed, because a signal would be decoded wrongly
 without them. A database is refused if one of these statements is damaged."""
@@ -41,9 +35,6 @@ _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _MULTIPLEXING = re.compile(
     r"^[ \t]*(?:BO_[ \t]+\d+[ \t]+(\w+)|SG_[ \t]+(\w+)[ \t]+m\d+M?[ \t]*:)", re.MULTILINE
 )
-_POSITION = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
-_UNDEFINED = re.compile(r'BA_\s+"([^"]*)"')
-_DEFINED = re.compile(r'BA_DEF_\s+(?:[A-Z]+_\s+)?"([^"]*)"')
 
 
 class LeftOut(Struct, frozen=True):
@@ -73,7 +64,8 @@ class MendedText:
         self.left_out: list[LeftOut] = []
         self._bad: list[tuple[int, int]] = []
         self._is_scanned = False
-        self._attempts = min(MOST_ATTEMPTS, max(3, MOST_CHARACTERS // max(1, len(text))))
+        # all attempts together parse so many characters: about 20 s on a slow processor
+        self._attempts = min(40, max(3, 2_000_000 // max(1, len(text))))
 
     def mend(self, reason: str) -> bool:
         """Remove statements that are wrong, and the statement at which the parser stopped.
@@ -88,7 +80,7 @@ class MendedText:
             self._is_scanned = True
             self._bad_messages()
             self._blank(*self._bad)
-        position = _POSITION.search(reason)
+        position = re.search(r"Invalid syntax at line (\d+), column (\d+)", reason)
         if self.text == before and position:
             self._bad = []
             self._at(int(position.group(1)), int(position.group(2)))
@@ -121,7 +113,7 @@ class MendedText:
         starts = [one.start for one in statements]
         k = bisect_right(starts, at) - 1
         line_start = at - column + 1
-        is_stray = k < 0 or (statements[k].keyword in _ONE_LINE and starts[k] < line_start)
+        is_stray = k < 0 or (statements[k].keyword in {"BO_", "SG_"} and starts[k] < line_start)
         if is_stray:  # the next signals may belong to it, not to the message before
             end = k + 1
             while end < len(statements) and statements[end].keyword == "SG_":
@@ -155,7 +147,6 @@ class MendedText:
     def _stale(self) -> None:
         """Remove value tables and float types of missing signals, and undefined attributes."""
         known: set[tuple[str, str]] = set()
-        names: dict[str, str] = {}
         number = ""
         stale: list[_Statement] = []
         statements = list(_statements(self.text))
@@ -163,18 +154,19 @@ class MendedText:
         for one in statements:
             if one.keyword == "BO_" and (found := _MESSAGE.match(self._of(one))):
                 number = found.group(1)
-                names[number] = found.group(2)
             elif one.keyword == "SG_" and (signal := _SIGNAL.match(self._of(one))):
                 known.add((number, signal.group(1)))
-            elif one.keyword == "BA_DEF_" and (defined := _DEFINED.match(self._of(one))):
+            elif one.keyword == "BA_DEF_" and (
+                defined := re.match(r'BA_DEF_\s+(?:[A-Z]+_\s+)?"([^"]*)"', self._of(one))
+            ):
                 attributes.add(defined.group(1))
         for one in statements:
             if one.keyword in {"VAL_", "SIG_VALTYPE_"}:
-                found = _REFERENCE.match(self._of(one))
+                found = re.match(r"(?:VAL_|SIG_VALTYPE_)\s+(\d+)\s+([^\s:]+)", self._of(one))
                 if found and found.groups() not in known:
                     stale.append(one)
             elif one.keyword == "BA_":
-                found = _UNDEFINED.match(self._of(one))
+                found = re.match(r'BA_\s+"([^"]*)"', self._of(one))
                 if found and found.group(1) not in attributes:
                     stale.append(one)
         self._blank(*((one.start, one.end) for one in stale))
@@ -304,3 +296,93 @@ def _name_reason(name: str) -> str:
         f"{name!r} is not a valid name: a name begins with a letter and contains letters, "
         "digits and _; rename it"
     )
+
+
+class _Element(Struct, frozen=True):
+    """A message: attributes, line, and its position in the UTF-8 text."""
+
+    attributes: dict[str, str]
+    line: int
+    start: int
+    end: int
+
+
+class MendedKcd:
+    """The text of a KCD without the messages that cannot be read. left_out: these messages.
+
+    reason_of: returns why a text cannot be read; empty if it can be read.
+    """
+
+    def __init__(self, text: str, reason_of: Callable[[str], str]) -> None:
+        self.text = text
+        self.left_out: list[LeftOut] = []
+        self._reason_of = reason_of
+
+    def mend(self, _reason: str) -> bool:
+        """Remove every message that cannot be read even without the other messages. Return False if
+        there is none."""
+        alone = (
+            '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Bus name="">%s</Bus>'
+            "</NetworkDefinition>"
+        )
+        data = self.text.encode()
+        parts, at, count = [], 0, len(self.left_out)
+        for one in _messages(data):
+            text = data[one.start : one.end]
+            reason = self._reason_of(alone % text.decode())
+            if reason:
+                self.left_out.append(_left_out(one, reason))
+                parts += [data[at : one.start], re.sub(rb"[^\n]", b" ", text)]
+                at = one.end
+        self.text = b"".join([*parts, data[at:]]).decode()
+        return len(self.left_out) > count
+
+
+def _messages(data: bytes) -> list[_Element]:
+    """Find all elements named Message. Empty if the text is not valid XML."""
+    found: list[_Element] = []
+    begun: list[tuple[dict[str, str], int, int]] = []
+    parser = expat.ParserCreate("utf-8")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if name == "Message":
+            begun.append((attributes, parser.CurrentLineNumber, parser.CurrentByteIndex))
+
+    def end(name: str) -> None:
+        if name == "Message" and begun:
+            attributes, line, at = begun.pop()
+            close = parser.CurrentByteIndex  # an element of one tag: its end
+            if data.startswith(b"</", close):
+                close = data.index(b">", close) + 1
+            if not begun:  # a nested message is part of the outer one
+                found.append(_Element(attributes, line, at, close))
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError:
+        return []
+    return found
+
+
+def _left_out(one: _Element, reason: str) -> LeftOut:
+    number = _number(one.attributes.get("id", ""))
+    length = _number(one.attributes.get("length", ""))
+    is_extended = one.attributes.get("format") == "extended"
+    if CAN_SFF_MASK < number <= CAN_EFF_MASK and not is_extended:
+        reason = (
+            f"identifier 0x{number:X} is longer than 11 bits, but not marked as 29 bits; "
+            'add format="extended" to it'
+        )
+        is_extended = True
+    can_id = number & CAN_EFF_MASK | (CAN_EFF_FLAG if is_extended else 0)
+    name = one.attributes.get("name") or f"(line {one.line})"
+    return LeftOut(name, "", can_id, length, one.line, reason)
+
+
+def _number(text: str) -> int:
+    """Convert an integer in the notation of KCD; 0 for anything else."""
+    try:
+        return max(0, int(text, 0))
+    except ValueError:
+        return 0
