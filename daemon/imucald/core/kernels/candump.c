@@ -6,7 +6,7 @@ all that is read of a line lies before its newline, or in the padding behind the
 
 #include "arrays.h"
 
-enum { PADDING = 16, NAME = 32, WORD = 8, LONGEST_HEAD = 64, USUAL_TAIL = 32 };
+enum { PADDING = 16, NAME = 32, WORD = 8 };
 enum { MOST_SECONDS = 19, MOST_FRACTION = 19, MOST_GAP = 32, MOST_DIGITS = 18 };
 enum { EXTENDED_DIGITS = 8, STANDARD_DIGITS = 3, CLASSIC = 8, LONGEST = 64, VERDICTS = 4096 };
 #define EFF_FLAG 0x80000000u
@@ -66,16 +66,6 @@ static inline unsigned nibble(uint8_t c)
     return (c & 0x0Fu) + 9u * (c >> 6);
 }
 
-/* The number of a hexadecimal digit; so far below 0 where it is none that no digits make up for it. */
-#define NONE8 NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE
-#define NONE32 NONE8, NONE8, NONE8, NONE8
-enum { NONE = -(1 << 20) };
-static const int32_t HEX[256] = {
-    NONE32, NONE8, NONE8, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, NONE, NONE, NONE, NONE, NONE, NONE,
-    NONE, 10, 11, 12, 13, 14, 15, NONE, NONE8, NONE8, NONE8,
-    NONE, 10, 11, 12, 13, 14, 15, NONE, NONE8, NONE8, NONE8, NONE32, NONE32, NONE32, NONE32,
-};
-
 /* Bytes of hexadecimal digits that are known to be some; 16 digits are read. */
 static inline uint64_t eight_bytes(const uint8_t *p, unsigned count)
 {
@@ -112,38 +102,14 @@ static inline uint64_t decimal(const uint8_t *p, Size count)
     return number;
 }
 
-/* The whole seconds of the stamp before, which most stamps share. */
-typedef struct {
-    Size seconds, fraction; /* digits; none were read where there are none */
-    uint64_t first, second; /* the text of the first WORD digits, and of the rest */
-    uint64_t number;        /* times the power of the fraction's digits */
-} Second;
-
 /* The number of a stamp at p; not a number where no double holds its digits. */
-static inline double stamp_of(const uint8_t *p, Size seconds, Size fraction, Second *known)
+static inline double stamp_of(const uint8_t *p, Size seconds, Size fraction)
 {
     if (seconds + fraction > MOST_DIGITS)
         return NAN;
-    uint64_t first = 0, second = 0;
-    if (seconds >= WORD) {
-        first = word_at(p);
-        second = word_at(p + WORD) & first_bytes((unsigned)(seconds - WORD));
-    }
-    if (seconds < WORD || seconds > 2 * WORD || seconds != known->seconds ||
-        fraction != known->fraction || first != known->first || second != known->second) {
-        *known = (Second){seconds, fraction, first, second,
-                          decimal(p, seconds) * (uint64_t)POWERS[fraction]};
-    }
-    uint64_t whole = known->number + decimal(p + seconds + 1, fraction);
+    uint64_t whole = decimal(p, seconds) * (uint64_t)POWERS[fraction] +
+                     decimal(p + seconds + 1, fraction);
     return whole < EXACT ? (double)whole / POWERS[fraction] : NAN;
-}
-
-/* Whether the text at p begins with a name of that length, of which NAME bytes are there. */
-static inline int is_named(const uint8_t *p, const uint8_t *name, Size length)
-{
-    if (length <= WORD)
-        return !((word_at(p) ^ word_at(name)) & first_bytes((unsigned)length));
-    return !memcmp(p, name, (size_t)length);
 }
 
 /* The channels that are known, each with the filter of its ids (`IdFilter`). */
@@ -182,8 +148,8 @@ typedef struct {
 
 enum Judgement { ODD_LINE, TAKEN, UNKNOWN_CHANNEL };
 
-/* Judge the line from p up to its newline at `end`; `last`: the channel of the line before. */
-static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels *known, Size last,
+/* Judge the line from p up to its newline at `end`. */
+static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels *known,
                             Frame *frame)
 {
     if (end > p && end[-1] == '\r')
@@ -193,20 +159,15 @@ static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels
     if (end - p < 12 || *p != '(')
         return ODD_LINE;
     const uint8_t *at = p + 1;
-    /* the places of the point and of the bracket are mostly those of the line before */
-    if (!(frame->seconds && frame->seconds + frame->fraction + 2 < end - at &&
-          at[frame->seconds] == '.' && at[frame->seconds + 1 + frame->fraction] == ')')) {
-        Size n = 0;
-        while (at + n < end && n <= MOST_SECONDS && at[n] != '.')
-            n++;
-        Size m = 0;
-        while (at + n + 1 + m < end && m <= MOST_FRACTION && at[n + 1 + m] != ')')
-            m++;
-        if (n < 1 || n > MOST_SECONDS || m < 1 || m > MOST_FRACTION || at + n + 1 + m >= end)
-            return ODD_LINE;
-        frame->seconds = n;
-        frame->fraction = m;
-    }
+    Size n = 0, m = 0;
+    while (at + n < end && n <= MOST_SECONDS && at[n] != '.')
+        n++;
+    while (at + n + 1 + m < end && m <= MOST_FRACTION && at[n + 1 + m] != ')')
+        m++;
+    if (n < 1 || n > MOST_SECONDS || m < 1 || m > MOST_FRACTION || at + n + 1 + m >= end)
+        return ODD_LINE;
+    frame->seconds = n;
+    frame->fraction = m;
     if (!are_decimal(at, frame->seconds) || !are_decimal(at + frame->seconds + 1, frame->fraction))
         return ODD_LINE;
     at += frame->seconds + frame->fraction + 2;
@@ -216,26 +177,17 @@ static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels
     if (at == gap || at - gap > MOST_GAP)
         return ODD_LINE;
     Size channel = -1, length = 0;
-    if (last >= 0) {
-        const uint8_t *name = known->names + last * (1 + NAME);
-        length = name[0];
-        if (end - at > length && at[length] == ' ' && is_named(at, name + 1, length))
-            channel = last;
+    while (at + length < end && at[length] != ' ')
+        length++;
+    if (at + length >= end || length < 1 || length > NAME)
+        return ODD_LINE;
+    for (Size c = 0; c < known->count && channel < 0; c++) {
+        const uint8_t *name = known->names + c * (1 + NAME);
+        if (name[0] == length && !memcmp(at, name + 1, (size_t)length))
+            channel = c;
     }
-    if (channel < 0) {
-        length = 0;
-        while (at + length < end && at[length] != ' ')
-            length++;
-        for (Size c = 0; c < known->count && channel < 0; c++) {
-            const uint8_t *name = known->names + c * (1 + NAME);
-            if (name[0] == length && is_named(at, name + 1, length))
-                channel = c;
-        }
-        if (at + length >= end || length < 1 || length > NAME)
-            return ODD_LINE;
-        if (channel < 0)
-            return UNKNOWN_CHANNEL;
-    }
+    if (channel < 0)
+        return UNKNOWN_CHANNEL;
     frame->channel = channel;
     at += length + 1;
     Size left = end - at;
@@ -273,83 +225,6 @@ static enum Judgement judge(const uint8_t *p, const uint8_t *end, const Channels
     if (frame->digits > 2 * (frame->is_fd ? LONGEST : CLASSIC) || frame->digits % 2)
         return ODD_LINE;
     return are_hex(at, frame->digits) ? TAKEN : ODD_LINE;
-}
-
-/* What most lines begin with, up to the id: all but the digits is the same in line after line. */
-typedef struct {
-    Size length; /* bytes; 0 where no line was like that */
-    Size words;
-    Size seconds, fraction, channel; /* as in `Frame` */
-    const uint8_t *verdicts;
-    uint64_t wanted[LONGEST_HEAD / WORD], leeway[LONGEST_HEAD / WORD], part[LONGEST_HEAD / WORD];
-} Head;
-
-static void learn_head(Head *head, const uint8_t *line, const Frame *frame, const uint8_t *id,
-                       const Channels *known)
-{
-    Size length = id - line;
-    uint8_t wanted[LONGEST_HEAD], leeway[LONGEST_HEAD], part[LONGEST_HEAD];
-    head->length = 0;
-    if (length > LONGEST_HEAD)
-        return;
-    for (Size k = 0; k < LONGEST_HEAD; k++) {
-        int is_digit = k >= 1 && k < 2 + frame->seconds + frame->fraction && k != 1 + frame->seconds;
-        wanted[k] = k < length ? (is_digit ? '0' : line[k]) : 0;
-        leeway[k] = is_digit ? 0x76 : 0x7F; /* what is more than wanted carries into the highest bit */
-        part[k] = k < length ? 0x80 : 0;
-    }
-    memcpy(head->wanted, wanted, sizeof wanted);
-    memcpy(head->leeway, leeway, sizeof leeway);
-    memcpy(head->part, part, sizeof part);
-    head->length = length;
-    head->seconds = frame->seconds;
-    head->fraction = frame->fraction;
-    head->channel = frame->channel;
-    head->verdicts = known->verdicts + frame->channel * VERDICTS;
-    head->words = (length + WORD - 1) / WORD;
-}
-
-/* The newline of the line from p on, where it is like the lines before: a head, an id of 11 bits,
-   '#', data of a classic frame; NULL where it is not, or ends in another way. All bytes from p to
-   p + head->length + USUAL_TAIL can be read. */
-static inline const uint8_t *usual_line(const uint8_t *p, const Head *head, Frame *frame)
-{
-    uint64_t bad = 0;
-    for (Size k = 0; k < head->words; k++) {
-        uint64_t other = word_at(p + WORD * k) ^ head->wanted[k];
-        bad |= (other | ((other & EACH(0x7F)) + head->leeway[k])) & head->part[k];
-    }
-    const uint8_t *id = p + head->length, *data = id + STANDARD_DIGITS + 1;
-    int number = 256 * HEX[id[0]] + 16 * HEX[id[1]] + HEX[id[2]];
-    if (bad || number < 0 || id[STANDARD_DIGITS] != '#')
-        return NULL;
-    uint64_t first = word_at(data), second = word_at(data + WORD);
-    uint64_t other = first ^ EACH('\n');
-    uint64_t ends = (other - EACH(0x01)) & ~other & EACH(0x80);
-    Size digits = 0;
-    if (!ends) {
-        digits = WORD;
-        other = second ^ EACH('\n');
-        ends = (other - EACH(0x01)) & ~other & EACH(0x80);
-    }
-    if (ends)
-        digits += __builtin_ctzll(ends) / 8;
-    else if (data[digits = 2 * WORD] != '\n')
-        return NULL;
-    if (digits % 2 || !are_hex(data, digits))
-        return NULL;
-    uint8_t verdict = head->verdicts[number];
-    if (verdict > 1)
-        return NULL;
-    frame->id = (uint32_t)number;
-    frame->is_wanted = verdict;
-    frame->seconds = head->seconds;
-    frame->fraction = head->fraction;
-    frame->channel = head->channel;
-    frame->is_fd = 0;
-    frame->data = data;
-    frame->digits = digits;
-    return data + digits;
 }
 
 /* Read the lines of text[:size], which are whole, from counts[PLACE] on.
@@ -406,25 +281,13 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
         return leave(&a, refuse(&a, "numbers beyond the arrays of candump"));
     enum Result result = DONE;
     Frame frame = {0};
-    Size last = known.count ? 0 : -1, n = (Size)counts[FRAMES], at = (Size)counts[PLACE];
+    Size n = (Size)counts[FRAMES], at = (Size)counts[PLACE];
     int64_t number = counts[NUMBER];
-    Head head = {0};
-    Second second = {0};
     while (at < size) {
-        const uint8_t *newline = NULL;
-        enum Judgement judged = TAKEN;
-        if (head.length && head.length + USUAL_TAIL <= size + PADDING - at)
-            newline = usual_line(text + at, &head, &frame);
-        if (newline && newline >= text + size)
-            newline = NULL;
-        if (!newline) {
-            newline = memchr(text + at, '\n', (size_t)(size - at));
-            if (!newline)
-                break;
-            judged = judge(text + at, newline, &known, last, &frame);
-            if (judged == TAKEN && !frame.is_fd && !(frame.id & EFF_FLAG))
-                learn_head(&head, text + at, &frame, frame.data - STANDARD_DIGITS - 1, &known);
-        }
+        const uint8_t *newline = memchr(text + at, '\n', (size_t)(size - at));
+        if (!newline)
+            break;
+        enum Judgement judged = judge(text + at, newline, &known, &frame);
         if (judged == UNKNOWN_CHANNEL) {
             result = NEW_CHANNEL;
             break;
@@ -438,14 +301,13 @@ KERNEL long candump(PyObject *text_, long size, PyObject *names_, PyObject *verd
             odd[2 * counts[ODD] + 1] = at;
             counts[ODD]++;
         } else {
-            last = frame.channel;
             if (frame.is_wanted) {
                 Size bytes = frame.digits / 2;
                 if (n == most || bytes > width) {
                     result = n == most ? FRAMES_FULL : LONG_FRAME;
                     break;
                 }
-                double stamp = stamp_of(text + at + 1, frame.seconds, frame.fraction, &second);
+                double stamp = stamp_of(text + at + 1, frame.seconds, frame.fraction);
                 t[n] = stamp;
                 counts[AS_TEXT] += stamp != stamp;
                 id[n] = frame.id;
