@@ -24,12 +24,8 @@ PADDING: Final = 16
 """Extra bytes of a block after its text, because the compiled code reads whole words."""
 LEAST_LINE: Final = len("(0.0) a 1#\n")
 """Length of the shortest line with a frame [bytes]."""
-ODD_LINES: Final = 4096
-"""Largest number of odd lines that one call returns."""
-_NAME_BYTES: Final = 32
-_IDS: Final = 16**3
-_NEW_CHANNEL, _ODD_IS_FULL, _LONG_FRAME = 1, 2, 3
-"""Reasons why the compiled code stopped before the end."""
+_NEW_CHANNEL, _LONG_FRAME = 1, 3
+"""Reasons why the compiled code stopped before the end, if something must be done."""
 _PLACE, _NUMBER, _FRAMES, _ODD, _AS_TEXT, _ANY_FD = range(6)
 """Indices of the counters of the compiled code."""
 
@@ -55,34 +51,20 @@ def line_at(buf: Bytes, start: int, size: int) -> bytes:
     return text[:end]
 
 
-class _Known(Struct, frozen=True):
-    """The filters of the channels found so far, as arrays (see `core/kernels/candump.c`)."""
-
-    names: Bytes
-    verdicts: Bytes
-    everything: Bytes
-    exact: NDArray[np.uint32]
-    exact_of: Index
-    masked: NDArray[np.uint32]
-    masked_of: Index
-
-    @classmethod
-    def from_channels(cls, channels: Channels, filter_of: Callable[[str], IdFilter]) -> _Known:
-        filters = [filter_of(name) for name in channels.names]
-        names = np.zeros((len(filters), 1 + _NAME_BYTES), np.uint8)
-        for row, name in zip(names, channels.names, strict=True):
-            row[0] = len(name)
-            row[1 : 1 + len(name)] = np.frombuffer(name.encode("ascii"), np.uint8)
-        masked = [pair for one in filters for pair in one.masked]
-        return cls(
-            names,
-            np.array([one.verdict for one in filters], np.uint8).reshape(len(filters), _IDS),
-            np.array([one.everything for one in filters], np.uint8),
-            np.concatenate([np.zeros(0, np.uint32), *(one.exact for one in filters)]),
-            np.cumsum([0, *(len(one.exact) for one in filters)]),
-            np.array(masked, np.uint32).reshape(len(masked), 2),
-            np.cumsum([0, *(len(one.masked) for one in filters)]),
-        )
+def _filters(channels: Channels, filter_of: Callable[[str], IdFilter]) -> tuple[NDArray[Any], ...]:
+    """Return the filters of the channels found so far, as arrays (see `core/kernels/candump.c`)."""
+    filters = [filter_of(name) for name in channels.names]
+    names = [bytes([len(name)]) + name.encode("ascii").ljust(32, b"\0") for name in channels.names]
+    masked = [pair for one in filters for pair in one.masked]
+    return (
+        np.frombuffer(b"".join(names), np.uint8).reshape(len(names), 33),
+        np.array([one.verdict for one in filters], np.uint8).reshape(len(filters), 16**3),
+        np.array([one.everything for one in filters], np.uint8),
+        np.concatenate([np.zeros(0, np.uint32), *(one.exact for one in filters)]),
+        np.cumsum([0, *(len(one.exact) for one in filters)]),
+        np.array(masked, np.uint32).reshape(len(masked), 2),
+        np.cumsum([0, *(len(one.masked) for one in filters)]),
+    )
 
 
 class LineReader:
@@ -99,9 +81,9 @@ class LineReader:
         index_of: Callable[[bytes], int | None],
     ) -> None:
         self._channels, self._filter_of, self._index_of = channels, filter_of, index_of
-        self._known: _Known | None = None
+        self._known: tuple[NDArray[Any], ...] | None = None
         self._width = CLASSIC_BYTES
-        self._odd = np.empty((ODD_LINES, 2), np.int64)
+        self._odd = np.empty((4096, 2), np.int64)
         self._make(0)
 
     def _make(self, most: int) -> None:
@@ -120,10 +102,24 @@ class LineReader:
         """Read the complete lines in `buf[:size]`. `buf` must be at least `PADDING` longer."""
         if len(self._columns[0]) < size // LEAST_LINE + 1:
             self._make(size // LEAST_LINE + 1)
-        odd = [self._odd[:0]]
-        counts = np.zeros(6, np.int64)
-        while self._go_on(kernels, buf, size, odd, counts):
-            pass
+        odd, counts, stopped = [self._odd[:0]], np.zeros(6, np.int64), -1
+        while stopped:
+            self._known = self._known or _filters(self._channels, self._filter_of)
+            counts[_ODD] = 0
+            stopped = kernels.candump(buf, size, *self._known, *self._columns, self._odd, counts)
+            odd.append(self._odd[: counts[_ODD]].copy())
+            if stopped == _LONG_FRAME:  # begin again with wider columns
+                self._width = FD_BYTES
+                self._make(len(self._columns[0]))
+                return self.read(kernels, buf, size)
+            if stopped == _NEW_CHANNEL:
+                number, start = int(counts[_NUMBER]), int(counts[_PLACE])
+                text = line_at(buf, start, size)
+                if self._index_of(text) is None:
+                    odd.append(np.array([[number, start]]))
+                    counts[_PLACE], counts[_NUMBER] = start + len(text) + 1, number + 1
+                else:
+                    self._known = None
         n = int(counts[_FRAMES])
         t, can_id, length, data, channel, fd, place = (
             column[:n].copy() for column in self._columns
@@ -138,40 +134,3 @@ class LineReader:
             t, can_id, length, data, channel, self._channels.names, fd if counts[_ANY_FD] else None
         )
         return Lines(frames, place, np.concatenate(odd), int(counts[_NUMBER]))
-
-    def _go_on(
-        self, kernels: Kernels, buf: Bytes, size: int, found: list[Index], counts: Index
-    ) -> bool:
-        """Read until an action is needed. Return whether there are more lines."""
-        if self._known is None:
-            self._known = _Known.from_channels(self._channels, self._filter_of)
-        counts[_ODD] = 0
-        k = self._known
-        stopped = kernels.candump(
-            buf, size, k.names, k.verdicts, k.everything, k.exact, k.exact_of, k.masked,
-            k.masked_of, *self._columns, self._odd, counts,
-        )  # fmt: skip
-        if counts[_ODD]:
-            found.append(self._odd[: counts[_ODD]].copy())
-        if stopped == _NEW_CHANNEL:
-            self._meet(buf, size, found, counts)
-        elif stopped == _LONG_FRAME:
-            self._width = FD_BYTES
-            before = self._columns
-            self._make(len(before[0]))
-            for old, new in zip(before, self._columns, strict=True):
-                if old.ndim == 1:
-                    new[:] = old
-                else:
-                    new[:, :CLASSIC_BYTES], new[:, CLASSIC_BYTES:] = old, 0
-        return stopped != 0
-
-    def _meet(self, buf: Bytes, size: int, found: list[Index], counts: Index) -> None:
-        """Handle the line with an unknown channel at which the compiled code stopped."""
-        start = int(counts[_PLACE])
-        text = line_at(buf, start, size)
-        if self._index_of(text) is not None:
-            self._known = None
-            return
-        found.append(np.array([[counts[_NUMBER], start]]))
-        counts[_PLACE], counts[_NUMBER] = start + len(text) + 1, counts[_NUMBER] + 1

@@ -1,6 +1,6 @@
 """Convert candump text to columns, one block of lines at a time.
 
-The compiled code (`candump_lines`) reads the lines in candump's usual layout, about ten million per
+The compiled code (`candump_lines`) reads the lines in candump's usual layout, some million per
 second. Any other line is passed to the strict reader of single lines (`candump_line`). Without the
 compiled code, the strict reader reads all lines.
 """
