@@ -44,7 +44,7 @@ REASONS: Final[dict[str, str]] = {
 """All reasons for rejecting a line, with their texts."""
 
 _LINE = re.compile(
-    rb"""\((?P<pad>[ \t]{0,32})(?P<t>(?P<sec>[0-9]{1,19})\.(?P<frac>[0-9]{1,19}))\)
+    rb"""\((?P<pad>[ \t]{0,32})(?P<t>[0-9]{1,19}\.[0-9]{1,19})\)
     (?P<gap>[ \t]{1,32})(?P<channel>[!"$-~]{1,32})(?P<mid>[ ]|[ \t]{1,32})
     (?:
       (?P<id>[0-7][0-9A-Fa-f]{2}|[01][0-9A-Fa-f]{7})
@@ -54,7 +54,7 @@ _LINE = re.compile(
         |(?P<remote>\#[Rr](?:[0-7]|8(?:_[9A-Fa-f])?)?)
       )
       |(?P<error>[23][0-9A-Fa-f]{7}\#(?:[0-9A-Fa-f]{2}){0,8})
-      |(?P<xl>[0-9A-Fa-f]{5}\#[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}\#
+      |(?:[0-9A-Fa-f]{5}\#[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}\#
         (?:[0-9A-Fa-f]{2}){1,2048})
     )
     (?:[ \t][RT])?\r?""",
@@ -74,9 +74,8 @@ class Line(NamedTuple):
     can_id: int
     data: bytes
     fd: bool
-    layout: tuple[int, int, int] | None
-    """Digits before the point, digits after it, spaces after the time stamp. None if the line does
-    not have the layout of current candump versions."""
+    is_usual: bool
+    """True if the line has the layout of current candump versions."""
 
 
 def words_of(reason: str) -> str:
@@ -99,18 +98,18 @@ def parse_line(text: bytes) -> Line | str | None:
     match = _LINE.fullmatch(text)
     if match is None:
         return _reason(text) if text.strip() else None
-    pad, t, whole, part, gap, name, mid, can_id, data, fd, remote, error, _ = match.groups()
-    layout = None
-    if not pad and mid == b" " and b"\t" not in gap:
-        layout = len(whole), len(part), len(gap)
+    pad, t, gap, name, mid, can_id, data, fd, remote, error = match.group(
+        "pad", "t", "gap", "channel", "mid", "id", "data", "fd", "remote", "error"
+    )
+    is_usual = not pad and mid == b" " and b"\t" not in gap
     channel = name.decode("ascii")
     if can_id is None or remote is not None:
         kind = "remote_frame" if remote else "error_frame" if error else "xl_frame"
-        return Line(kind, float(t), channel, 0, b"", False, layout)
+        return Line(kind, float(t), channel, 0, b"", False, is_usual)
     number = int(can_id, 16) | (CAN_EFF_FLAG if len(can_id) == 8 else 0)
     digits = data.partition(b"_")[0] if fd is None else fd
     payload = bytes.fromhex(digits.decode("ascii"))
-    return Line("data", float(t), channel, number, payload, fd is not None, layout)
+    return Line("data", float(t), channel, number, payload, fd is not None, is_usual)
 
 
 def _reason(text: bytes) -> str:
