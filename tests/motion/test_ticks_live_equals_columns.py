@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.core.samples import QUANTITIES, Series
-from imucald.motion.column_ticks import ticks_from_samples
-from imucald.motion.ticks import ACCEL, COLUMNS, TickAccumulator, tick_index
+from imucald.motion.column_ticks import TickAccumulator, ticks_from_samples
+from imucald.motion.ticks import ACCEL, COLUMNS, tick_index
 
 VALUE = st.floats(-1e6, 1e6, allow_nan=False) | st.sampled_from([0.0, -0.0, 1 / 3, 9.80665])
 TIME = st.floats(0.0, 1.2, allow_nan=False) | st.integers(0, 12).map(lambda k: k / 10.0)

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 from imucald.core.samples import FLAGS
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import TICK_RATE, TICK_S, TickAccumulator
+from imucald.motion.column_ticks import TickAccumulator
+from imucald.motion.ticks import TICK_RATE, TICK_S
 
 MIN_SHIFT_S = 0.001
 """Smallest difference of latency that is corrected [s]."""

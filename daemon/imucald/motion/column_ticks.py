@@ -1,9 +1,10 @@
-"""Ticks from whole columns of samples: the version of `ticks` for replay, with bit-equal
-results."""
+"""Ticks from samples: one tick from single samples, in live operation, and ticks from whole columns
+of samples, in replay."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,7 @@ def ticks_from_samples(
     """Return ticks first .. stop-1 as (stop - first, COLUMNS), from whole columns of samples.
 
     Samples outside these ticks are ignored. rejected: for each channel, times [s] of samples that
-    were rejected for their values. The result is bit-equal to the result of `TickAccumulator` for
-    the same samples.
+    were rejected for their values.
     """
     n = max(stop - first, 0)
     out = empty_rows(n)
@@ -62,7 +62,7 @@ _COLUMNS: Mapping[str, tuple[int, int, int | None]] = {
 def _fill(out: NDArray[np.float64], channel: str, series: Series, first: int) -> None:
     """Write the samples of a channel to rows of ticks, the first of number `first`.
 
-    `np.bincount` adds in the order of the samples, as `TickAccumulator` does.
+    A sum depends only on the samples of its tick: `np.bincount` adds in their order.
     """
     index = np.floor(series.t * TICK_RATE).astype(np.int64) - first
     part = slice(*np.searchsorted(index, (0, len(out))))
@@ -91,3 +91,41 @@ def _fill(out: NDArray[np.float64], channel: str, series: Series, first: int) ->
             out[some, ACCEL.max_x + axis] = np.maximum.reduceat(x, begin)
     if at_age is not None:
         out[some, at_age] = out[some, T] - mean(t)
+
+
+class TickAccumulator:
+    """Collects the samples of one tick, in live operation.
+
+    The caller adds the samples of one tick (see `tick_index`), closes the tick, and continues with
+    the next tick.
+    """
+
+    def __init__(self) -> None:
+        self._samples: dict[str, tuple[list[float], list[Sequence[float]]]] = {}
+        self._rejected: Counter[str] = Counter()
+
+    def add_sample(self, channel: str, t: float, values: Sequence[float]) -> None:
+        """Add a sample of any channel (see `samples`). Channels without a column in a tick are
+        ignored."""
+        times, rows = self._samples.setdefault(channel, ([], []))
+        times.append(t)
+        rows.append(values)
+
+    def reject(self, channel: str) -> None:
+        """Count a rejected sample of a channel."""
+        self._rejected[channel] += 1
+
+    def close(self, k: int) -> list[float]:
+        """Return the row of tick number k and begin an empty tick."""
+        samples = {}
+        for channel, (times, rows) in self._samples.items():
+            values = np.array(rows, dtype=float)
+            values = values[:, 0] if values.shape[1] == 1 else values
+            samples[channel] = Series(np.array(times), values)
+        row: list[float] = ticks_from_samples(samples, k, k + 1)[0].tolist()
+        for channel, count in self._rejected.items():
+            if channel in BAD:
+                row[BAD[channel]] = float(count)
+        self._samples.clear()
+        self._rejected.clear()
+        return row

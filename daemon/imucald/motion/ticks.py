@@ -1,8 +1,8 @@
 """Ticks: one row of numbers for the samples of a tenth of a second.
 
 Estimators run ten times a second on ticks. A tick contains means and extremes of its samples. In
-live operation, `TickAccumulator` adds sample by sample. In replay, `column_ticks` processes whole
-columns. Live operation and replay add the samples in the same order, so the results are bit-equal.
+live operation, a tick is made when it is over; in replay, many ticks are made together
+(`column_ticks`).
 
 A tick covers [k / 10, (k + 1) / 10) seconds of stream time. Every tick of a segment has a row, even
 a tick without samples. The rows are therefore a uniform 10 Hz grid. NaN marks missing values.
@@ -152,117 +152,3 @@ def emptied(row: TickRow, channels: Iterable[str]) -> TickRow:
 def tick_index(t: float) -> int:
     """Return the number of the tick that contains stream time t [s]."""
     return math.floor(t * TICK_RATE)
-
-
-class TickAccumulator:
-    """Builds one tick from single samples, in live operation.
-
-    The caller adds the samples of one tick (see `tick_index`), closes the tick, and continues with
-    the next tick.
-    """
-
-    def __init__(self) -> None:
-        self._reset()
-
-    def _reset(self) -> None:
-        self._na = self._ng = self._nv = self._nw = 0
-        self._a = [0.0] * 7  # x, y, z, xx, yy, zz, t
-        self._low = [math.inf] * 3
-        self._high = [-math.inf] * 3
-        self._g = [0.0] * 4  # x, y, z, t
-        self._v = [0.0] * 2  # speed, t
-        self._w = 0.0
-        self._means: dict[str, list[float]] = {}
-        self._lasts: dict[str, float] = {}
-        self._bad: dict[str, int] = {}
-
-    def add_accel(self, t: float, x: float, y: float, z: float) -> None:
-        """Add a specific force [m/s^2] in sensor axes at stream time t [s]."""
-        self._na += 1
-        a = self._a
-        a[0] += x
-        a[1] += y
-        a[2] += z
-        a[3] += x * x
-        a[4] += y * y
-        a[5] += z * z
-        a[6] += t
-        low, high = self._low, self._high
-        for i, value in ((0, x), (1, y), (2, z)):
-            if value < low[i]:
-                low[i] = value
-            if value > high[i]:
-                high[i] = value
-
-    def add_gyro(self, t: float, x: float, y: float, z: float) -> None:
-        """Add an angular rate [rad/s] in sensor axes at stream time t [s]."""
-        self._ng += 1
-        g = self._g
-        g[0] += x
-        g[1] += y
-        g[2] += z
-        g[3] += t
-
-    def add_sample(self, channel: str, t: float, values: Sequence[float]) -> None:
-        """Add a sample of any channel (see `samples`). Channels without a column in a tick are
-        ignored.
-        """
-        if channel == "accel":
-            self.add_accel(t, values[0], values[1], values[2])
-        elif channel == "gyro":
-            self.add_gyro(t, values[0], values[1], values[2])
-        elif channel == "speed":
-            self._nv += 1
-            self._v[0] += values[0]
-            self._v[1] += t
-        elif channel in MEANS:
-            cell = self._means.setdefault(channel, [0.0, 0.0])
-            cell[0] += 1.0
-            cell[1] += values[0]
-        elif channel in LASTS:
-            self._lasts[channel] = values[0]
-        elif channel == "wheel_speeds":
-            self._nw += 1
-            self._w += max(values) - min(values)
-
-    def reject(self, channel: str) -> None:
-        """Count a rejected sample of a channel."""
-        if channel in BAD:
-            self._bad[channel] = self._bad.get(channel, 0) + 1
-
-    def close(self, k: int) -> list[float]:
-        """Return the row of tick number k and begin an empty tick."""
-        row = list(_EMPTY)
-        end = row[T] = (k + 1) / TICK_RATE
-        if self._na:
-            n = float(self._na)
-            row[ACCEL.n] = n
-            for i in range(6):
-                row[ACCEL.x + i] = self._a[i] / n
-            row[ACCEL.min_x : ACCEL.min_x + 3] = self._low
-            row[ACCEL.max_x : ACCEL.max_x + 3] = self._high
-            row[ACCEL.age] = end - self._a[6] / n
-        if self._ng:
-            n = float(self._ng)
-            row[GYRO.n] = n
-            for i in range(3):
-                row[GYRO.x + i] = self._g[i] / n
-            row[GYRO.age] = end - self._g[3] / n
-        if self._nv:
-            n = float(self._nv)
-            row[SPEED.n] = n
-            row[SPEED.mean] = self._v[0] / n
-            row[SPEED.age] = end - self._v[1] / n
-        if self._nw:
-            row[WHEEL_SPREAD.n] = float(self._nw)
-            row[WHEEL_SPREAD.mean] = self._w / float(self._nw)
-        for channel, (count, total) in self._means.items():
-            n_index, index = MEANS[channel]
-            row[n_index] = count
-            row[index] = total / count
-        for channel, value in self._lasts.items():
-            row[LASTS[channel]] = value
-        for channel, n_bad in self._bad.items():
-            row[BAD[channel]] = float(n_bad)
-        self._reset()
-        return row

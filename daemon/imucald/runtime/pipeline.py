@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
-from imucald.motion.column_ticks import ticks_from_samples
+from imucald.motion.column_ticks import TickAccumulator, ticks_from_samples
 from imucald.motion.hops import HOP_TICKS
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.signal_health import Faults
 from imucald.motion.ticks import (
     SPEED,
     TICK_RATE,
-    TickAccumulator,
     TickRow,
     emptied,
     tick_index,
