@@ -117,7 +117,6 @@ def test_filters_and_batches_are_those_of_candump(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(python_can_logs, "BATCH_FRAMES", 3)
-    monkeypatch.setattr(python_can_logs, "PROGRESS_FRAMES", 4)
     write(tmp_path / "a.blf", [message(f) for f in FRAMES])
     done: list[int] = []
     keep = [IdMatch(0x3E8, 0x7FF, "can1"), IdMatch(0x200, 0x7FF, "can0")]
