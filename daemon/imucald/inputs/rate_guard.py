@@ -89,42 +89,29 @@ class RateGuard:
             return {}
         first = math.floor(t[0])
         n = math.floor(t[-1]) - first + 1
-        edges = t.searchsorted(np.arange(first, first + n + 1))  # of seconds: times never decrease
-        before = edges if good.all() else np.append(0, np.cumsum(good))[edges]
-        good_count = seen_count = np.diff(before)
-        fault_count = np.zeros(n, np.int64)
+        second = np.floor(t).astype(np.int64) - first
+        is_seen, is_fault = np.ones(len(t), dtype=bool), np.zeros(len(t), dtype=bool)
         for reason, rows in reasons.items():
-            count = np.diff(rows.searchsorted(edges))
-            if reason not in _NOT_SENT:
-                seen_count = seen_count + count
-            if _is_of_another(reason):
-                fault_count += count
-        seen, faulty, sound_in = seen_count.tolist(), fault_count.tolist(), good_count.tolist()
+            is_seen[rows], is_fault[rows] = reason not in _NOT_SENT, _is_of_another(reason)
+        seen = np.bincount(second[is_seen], minlength=n).tolist()
         if n > SECONDS + 1 and self._is_usual(first, seen):  # only the last seconds count later
+            faulty = np.bincount(second[is_fault], minlength=n).tolist()
             self._before.extend(zip(seen[:-1], faulty[:-1], strict=True))
             self._second, self._ends = first + n - 1, first + float(n)
-            self._seen, self._faults, self._taken = seen[-1], faulty[-1], sound_in[-1]
+            self._seen, self._faults = seen[-1], faulty[-1]
+            self._taken = int(np.count_nonzero(good & (second == n - 1)))
             self._allowed = math.floor(self._limit())
             return {}
-        refused: dict[str, list[Rows]] = {}
-        begins = edges.tolist()
-        for i in range(n):
-            frames, faults, sound = seen[i], faulty[i], sound_in[i]
-            of = slice(begins[i], begins[i + 1])
-            if of.start == of.stop:
-                continue  # no frame, also no damaged frame
-            self._enter(first + i)
-            self._seen += frames
-            self._faults += faults
-            if self._second <= self._distrusted_until:
-                refused.setdefault(DUPLICATE, []).append(of.start + np.flatnonzero(good[of]))
-                continue
-            room = max(0, self._allowed - self._taken)
-            self._taken += sound
-            if sound > room:
-                rows = of.start + np.flatnonzero(good[of])[room:]
-                refused.setdefault(TOO_FAST, []).append(rows)
-        return {reason: np.concatenate(rows) for reason, rows in refused.items()}
+        refused: dict[str, list[int]] = {}
+        listed = [""] * len(t)
+        for reason, rows in reasons.items():
+            for row in rows.tolist():
+                listed[row] = reason
+        for row, (at, reason) in enumerate(zip(t.tolist(), listed, strict=True)):
+            found = self.judge(at, reason)
+            if found != reason:
+                refused.setdefault(found, []).append(row)
+        return {reason: np.array(rows, np.int64) for reason, rows in refused.items()}
 
     def _is_usual(self, first: int, seen: Sequence[int]) -> bool:
         """True if no frame can be refused in these seconds, because each second has few frames."""
