@@ -385,37 +385,31 @@ class AxisRails:
 
         stuck: True if the axis was stuck when the hop began. Such a hop is no evidence about rails.
         """
-        sides = [
-            (rail, top[h], on[h])
-            for rail, top, on in zip(self.sides, at.tops, at.on_tops, strict=True)
-        ]
+        both = tuple(zip(self.sides, at.tops, at.on_tops, strict=True))
         if stuck:
-            for rail, value, _ in sides:
-                rail.stick(value)
+            for rail, tops, _ in both:
+                rail.stick(tops[h])
             self._look_at_end(at, h)
-        for rail, value, on in sides:
-            rail.go_on(value, at.step[h], moving)
+        for rail, tops, on_tops in both:
+            rail.go_on(tops[h], at.step[h], moving)
             if moving and not stuck:
-                rail.drive(at, h, value, on)
+                rail.drive(at, h, tops[h], on_tops[h])
             else:
-                rail.stand(value)
+                rail.stand(tops[h])
         if moving and not stuck:
             self._usual += (at.level[h] - self._usual) / min(self.sides[0].hops, TAIL_HOPS)
-        return self._weigh(at, h)
-
-    def _weigh(self, at: AxisHops, h: int) -> bool:
-        """Return whether the axis is on a rail after hop h (half a second)."""
-        if any(rail.changed for rail in self.sides) and self._has_tail(at.step[h]):
+        high, low = self.sides
+        if (high.changed or low.changed) and self._has_tail(at.step[h]):
             last = float(at.samples(h)[-1])
             for rail in self.sides:
                 if rail.changed:
                     rail.weigh(last)
-        both = sum(rail.surprise for rail in self.sides) > self._least + BOTH_ENDS
-        for rail in self.sides:
-            is_sure = rail.surprise > self._least or (both and rail.surprise > 0.0)
-            if is_sure and not rail.found:
-                rail.on_rail()
-        return any(rail.found for rail in self.sides)
+        if surprise := high.surprise + low.surprise:
+            least = 0.0 if surprise > self._least + BOTH_ENDS else self._least
+            for rail in self.sides:
+                if rail.surprise > least and not rail.found:
+                    rail.on_rail()
+        return high.found or low.found
 
     def _has_tail(self, step: float) -> bool:
         if not self.sides[0].recent:
