@@ -62,7 +62,7 @@ def _compared(path: Path, counts: Counter[str]) -> Iterator[str]:
     except Exception:  # whatever it raises: it does not load
         theirs = None
     try:
-        ours = load_database([path])
+        ours = load_database(path)
     except DatabaseError as error:
         yield f"refused: {error}"
         return

@@ -154,7 +154,7 @@ def _run(case: Case, replays: bool) -> tuple[Verdict, str, str]:
     folder.mkdir(parents=True, exist_ok=True)
     recording = GatheredFrames.from_chunks(LogReader([case.log]))
     path = os.path.relpath(case.database, folder)
-    database = load_database([case.database])
+    database = load_database(case.database)
     proposal = discover({path: database}, recording)
     # the one thing that nobody can see in a recording, and that the user fills in
     proposal.driving_side = load_config(case.right).config.vehicle.driving_side

@@ -268,7 +268,7 @@ def write_bus(seed: int, folder: Path, minutes: float) -> tuple[Path, Path, Path
     config.write_text(yaml.safe_dump({"database": "bus.dbc", **bus.settings}))
     drive = simulate(drawn_model(seed), seed, minutes)
     frames = list(BusEncoder(load_config(config)).frames(drive))
-    frames += _other_frames(bus, load_database([database]), drive)
+    frames += _other_frames(bus, load_database(database), drive)
     whole = joined(frames)
     whole = whole.take(np.argsort(whole.t, kind="stable"))
     with CandumpWriter(log) as writer:

@@ -104,7 +104,7 @@ def _found(log: PublicLog, folder: Path, without_names: bool) -> Verdict:
     if without_names:
         database, right, _ = renamed(database, right, folder / "renamed")
     out = database.parent / "proposed.yaml"
-    loaded = load_database([database])
+    loaded = load_database(database)
     proposal = discover(
         {database.name: loaded}, GatheredFrames.from_chunks(LogReader([folder / "drive.log"]))
     )

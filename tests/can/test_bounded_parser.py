@@ -27,7 +27,7 @@ from imucald.can.dbc.database import load_database
 from imucald.core.errors import DatabaseError
 bounded_parser.allowed_memory = database.allowed_memory = lambda: int(sys.argv[2])
 try:
-    print("read", len(load_database([Path(sys.argv[1])]).messages))
+    print("read", len(load_database(Path(sys.argv[1])).messages))
 except DatabaseError as error:
     print("refused", error)
 status = Path("/proc/self/status").read_text()  # ru_maxrss would be at least the test runner's
@@ -173,7 +173,7 @@ def test_a_file_larger_than_memory_could_hold_is_refused_unread(tmp_path, monkey
     monkeypatch.setattr(database, "allowed_memory", lambda: UNIT_MEMORY)
     assert database.max_file_bytes() == 32 * 2**20
     with pytest.raises(DatabaseError, match="larger than 32 MiB"):
-        load_database([path])
+        load_database(path)
 
 
 def test_the_memory_allowed_is_the_least_of_the_groups_around(tmp_path):

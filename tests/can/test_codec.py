@@ -23,7 +23,7 @@ REAL = ROOT.parent / "shared" / "data"
 
 @pytest.fixture(scope="module")
 def database() -> Database:
-    return load_database([DATA / "cluster.dbc"])
+    return load_database(DATA / "cluster.dbc")
 
 
 def column(frames: list[bytes], width: int = 8) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +39,7 @@ IMU_FRAME = struct.pack("<h", -1000) + struct.pack(">h", 0x1234) + bytes.fromhex
 
 @pytest.mark.parametrize("suffix", ["dbc", "kcd", "sym", "arxml"])
 def test_every_format_gives_the_same_numbers(suffix: str) -> None:
-    message = load_database([DATA / f"cluster.{suffix}"]).message("IMU")
+    message = load_database(DATA / f"cluster.{suffix}").message("IMU")
     plan = compile_decode(message, ["AX", "AY", "AZ", "ALIVE", "CRC"])
     assert plan.decode_raw(IMU_FRAME) == (-1000, 0x1234, 2196, 9, 0xA5)
     assert plan.decode(IMU_FRAME) == (-1000 * 0.002, 4660 * 0.002, 2196 * 0.05 - 100, 9.0, 165.0)
@@ -275,7 +275,7 @@ def test_real_databases_decode_as_cantools_does(drive: str) -> None:
         pytest.skip(f"the measured drive {drive} is not beside the repository")
     theirs = cantools.database.load_file(path, strict=False)
     rng = np.random.default_rng(7)
-    for message in load_database([path]).messages.values():
+    for message in load_database(path).messages.values():
         plan = compile_decode(message, list(message.signals))
         their_message = theirs.get_message_by_name(message.name)  # type: ignore[union-attr]
         for _ in range(20):

@@ -27,32 +27,32 @@ def write(folder: Path, name: str, text: str) -> Path:
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(DatabaseError, match=r"gone\.dbc: No such file"):
-        load_database([tmp_path / "gone.dbc"])
+        load_database(tmp_path / "gone.dbc")
 
 
 def test_a_folder_and_a_strange_suffix_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.dbc").mkdir()
     with pytest.raises(DatabaseError, match="directory"):
-        load_database([tmp_path / "folder.dbc"])
+        load_database(tmp_path / "folder.dbc")
     with pytest.raises(DatabaseError, match="not a known database format"):
-        load_database([write(tmp_path, "notes.txt", "")])
+        load_database(write(tmp_path, "notes.txt", ""))
 
 
 def test_a_syntax_error_is_given_with_its_line(tmp_path: Path) -> None:
     path = write(tmp_path, "bad.dbc", HEAD + "BO_ 16 M: 8 Vector__XXX\n SG_ S : oops\n")
     with pytest.raises(DatabaseError, match=r"bad\.dbc:6: .*M\.S is left out"):
-        load_database([path]).signal("M.S")
+        load_database(path).signal("M.S")
 
 
 def test_the_suffix_may_be_in_capitals(tmp_path: Path) -> None:
     path = write(tmp_path, "GOOD.DBC", HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL)
-    assert list(load_database([path]).messages) == ["M"]
+    assert list(load_database(path).messages) == ["M"]
 
 
 def test_overlapping_signals_load(tmp_path: Path) -> None:
     overlapping = SIGNAL + ' SG_ T : 4|8@1+ (1,0) [0|0] "" Vector__XXX\n'
     database = load_database(
-        [write(tmp_path, "o.dbc", HEAD + "BO_ 16 M: 8 Vector__XXX\n" + overlapping)]
+        write(tmp_path, "o.dbc", HEAD + "BO_ 16 M: 8 Vector__XXX\n" + overlapping)
     )
     plan = compile_decode(database.message("M"), ["S", "T"])
     assert plan.decode(bytes.fromhex("f300000000000000")) == (243.0, 15.0)
@@ -168,31 +168,12 @@ def test_a_cycle_time_of_a_wrong_kind_is_passed_over() -> None:
     assert load_database_text(text, "dbc").message("M").cycle_time is None
 
 
-def test_one_name_in_two_files_is_refused_unless_identical(tmp_path: Path) -> None:
-    text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL
-    a = write(tmp_path, "a.dbc", text)
-    b = write(tmp_path, "b.dbc", text)
-    assert list(load_database([a, b]).messages) == ["M"]
-    c = write(tmp_path, "c.dbc", text.replace("0|8@", "8|8@"))
-    with pytest.raises(DatabaseError, match=r"(?s)message M .*a\.dbc.*c\.dbc"):
-        load_database([a, c])
-
-
-def test_one_identifier_in_two_files_is_refused_unless_allowed(tmp_path: Path) -> None:
-    text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL
-    a = write(tmp_path, "a.dbc", text)
-    b = write(tmp_path, "b.dbc", text.replace(" M:", " N:"))
-    with pytest.raises(DatabaseError, match=r"0x10 is M in .*a\.dbc but N in .*b\.dbc"):
-        load_database([a, b])
-    assert set(load_database([a, b], shared_ids=True).messages) == {"M", "N"}
-
-
 def test_two_messages_of_one_name_in_a_file_are_told_apart_by_their_ids(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL + "\nBO_ 17 M: 8 Vector__XXX\n" + SIGNAL
     text += "\nBO_ 18 N: 8 Vector__XXX\n" + SIGNAL
-    database = load_database([write(tmp_path, "a.dbc", text)])
+    database = load_database(write(tmp_path, "a.dbc", text))
     assert {name: m.can_id for name, m in database.messages.items()} == {
         "M_0x10": 16, "M_0x11": 17, "N": 18,
     }  # fmt: skip
@@ -203,7 +184,7 @@ def test_two_messages_of_one_name_in_a_file_are_told_apart_by_their_ids(
 
 def test_two_messages_of_one_name_and_id_are_refused_when_asked_for(tmp_path: Path) -> None:
     text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL + "\nBO_ 16 M: 7 Vector__XXX\n" + SIGNAL
-    database = load_database([write(tmp_path, "a.dbc", text)])
+    database = load_database(write(tmp_path, "a.dbc", text))
     with pytest.raises(DatabaseError, match=r"two different messages are named M$"):
         database.message("M")
 

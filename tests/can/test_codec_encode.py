@@ -23,7 +23,7 @@ ABSENT = {"AX": -32768, "AY": -32768, "AZ": 4095}
 
 @pytest.fixture(scope="module")
 def database() -> Database:
-    return load_database([DATA / "cluster.dbc"])
+    return load_database(DATA / "cluster.dbc")
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +202,7 @@ def test_any_value_at_all_gives_the_same_bytes_both_ways(
 
 @pytest.fixture(scope="module")
 def imu_rows_database() -> Database:
-    return load_database([DATA / "cluster.dbc"])
+    return load_database(DATA / "cluster.dbc")
 
 
 @pytest.mark.parametrize("line", ['0|64@1+ (1,0) [0|0] ""', '7|64@0- (1,0) [0|0] ""'])

@@ -63,8 +63,8 @@ def same(a: Database, b: Database) -> bool:
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
 @pytest.mark.usefixtures("from_file")
 def test_a_kept_database_is_the_parsed_one(path, folder, parsed):
-    first = load_database([path])
-    assert same(load_database([path]), first)
+    first = load_database(path)
+    assert same(load_database(path), first)
     assert parsed == [str(path)]
     assert folder.stat().st_mode & 0o777 == 0o700
 
@@ -73,11 +73,11 @@ def test_a_changed_file_is_parsed_again(tmp_path, folder, parsed):
     path = tmp_path / "a.dbc"
     text = EXAMPLE.read_text(encoding="cp1252")
     path.write_text(text, encoding="cp1252")
-    load_database([path])
+    load_database(path)
     stat = path.stat()
     path.write_text(text.replace("(0.002,0)", "(0.004,0)", 1), encoding="cp1252")
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))  # only the content tells
-    assert load_database([path]).signal("IMU_Accel.AccelX")[1].scale == 0.004
+    assert load_database(path).signal("IMU_Accel.AccelX")[1].scale == 0.004
     assert len(parsed) == 2
     assert len(list(folder.iterdir())) == 1
 
@@ -91,15 +91,15 @@ def test_a_database_that_cannot_be_read_is_not_kept(folder):
 
 @pytest.mark.usefixtures("from_file")
 def test_other_versions_files_count_for_nothing(folder, parsed, monkeypatch):
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
     monkeypatch.setattr(database_cache, "_stamp", lambda: "another version")
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
     assert len(parsed) == 2
 
 
 @pytest.mark.usefixtures("from_file")
 def test_a_damaged_file_counts_for_nothing(folder, parsed):
-    truth = load_database([EXAMPLE])
+    truth = load_database(EXAMPLE)
     (kept,) = folder.iterdir()
     whole = kept.read_bytes()
     rng = random.Random(1)
@@ -110,15 +110,15 @@ def test_a_damaged_file_counts_for_nothing(folder, parsed):
             rng.choice([bytes(damaged), whole[: rng.randrange(len(whole))], b"[" * 9999])
         )
         before = len(parsed)
-        assert same(load_database([EXAMPLE]), truth)
+        assert same(load_database(EXAMPLE), truth)
         assert len(parsed) == before + 1
 
 
 @pytest.mark.usefixtures("from_file")
 def test_a_folder_that_others_can_write_is_not_used(folder, parsed):
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
     folder.chmod(0o777)
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
     assert len(parsed) == 2
 
 
@@ -127,8 +127,8 @@ def test_where_nothing_can_be_kept_databases_are_parsed(tmp_path, parsed, monkey
     blocked = tmp_path / "file"
     blocked.write_text("no folder")
     monkeypatch.setattr(database_cache._Cache, "folder", blocked / "cache")
-    load_database([EXAMPLE])
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
+    load_database(EXAMPLE)
     assert len(parsed) == 2
 
 
@@ -184,15 +184,15 @@ def test_a_second_run_does_not_load_the_parser(tmp_path):
 def test_a_process_that_reads_many_logs_parses_a_database_once(tmp_path, parsed, monkeypatch):
     path = tmp_path / "car.dbc"
     path.write_bytes(EXAMPLE.read_bytes())
-    first, again = load_database([path]), load_database([path])
+    first, again = load_database(path), load_database(path)
     assert again.messages == first.messages
     assert parsed == [str(path)]
     path.write_bytes(EXAMPLE.read_bytes().replace(b"IMU", b"XMU"))
-    changed = load_database([path])
+    changed = load_database(path)
     assert parsed == [str(path)] * 2
     assert set(changed.messages) != set(first.messages)
     monkeypatch.setattr(database, "REMEMBERED_TEXT", 10)
-    load_database([path])
+    load_database(path)
     assert parsed == [str(path)] * 3
 
 
@@ -200,10 +200,10 @@ def test_a_process_remembers_few_databases(tmp_path, parsed):
     paths = [tmp_path / f"{k}.dbc" for k in range(database.REMEMBERED + 1)]
     for path in paths:
         path.write_bytes(EXAMPLE.read_bytes())
-        load_database([path])
-    load_database([paths[-1]])
+        load_database(path)
+    load_database(paths[-1])
     assert len(parsed) == len(paths)
-    load_database([paths[0]])
+    load_database(paths[0])
     assert parsed[len(paths) :] == [str(paths[0])]
 
 
@@ -212,19 +212,19 @@ def test_a_file_that_holds_nothing_is_read_as_nothing_whatever_is_remembered(tmp
     path.write_text("")
     for _ in range(2):
         with pytest.raises(DatabaseError):
-            load_database([path])
-    load_database([EXAMPLE])
+            load_database(path)
+    load_database(EXAMPLE)
     with pytest.raises(DatabaseError):
-        load_database([path])
+        load_database(path)
 
 
 def test_a_full_disk_is_not_filled_by_unfinished_files(folder):
     for _ in range(3):  # as many starts
         with full_after(5000):
-            load_database([EXAMPLE])
+            load_database(EXAMPLE)
         database._remembered.cache_clear()
     assert list(folder.iterdir()) == []
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
     assert [path.suffix for path in folder.iterdir()] == [".json"]
 
 
@@ -238,7 +238,7 @@ def test_what_a_killed_process_left_unfinished_is_removed_and_nothing_else(folde
         os.utime(folder / name, (now - age, now - age))
     (folder / "aaaaaaaa.1").mkdir()
     os.utime(folder / "aaaaaaaa.1", (0, 0))
-    load_database([EXAMPLE])
+    load_database(EXAMPLE)
     left = {path.name for path in folder.iterdir()}
     assert left >= {"feb9c5c9.10813", "aaaaaaaa.1", *others}
     assert not left & {"feb9c5c9.10811", "feb9c5c9.10812"}

@@ -121,7 +121,7 @@ def test_two_messages_of_one_name_stay_two_where_a_signal_of_theirs_is_left_out(
     bad = ' SG_ Z : 8|8@1+ (1;0) [0|0] "" CAR\n'
     path.write_text(HEAD + GOOD + LATER + "BO_ 18 LATER: 1 CAR\n" + signal("C2") + bad)
     with pytest.raises(DatabaseError, match="two different messages are named LATER"):
-        load_database([path]).message("LATER")
+        load_database(path).message("LATER")
 
 
 def test_no_database_is_made_of_any_text():
@@ -161,14 +161,14 @@ def test_units_are_read_in_every_encoding(tmp_path: Path, suffix: str, encoding:
         )
     path = tmp_path / f"bus.{suffix}"
     path.write_bytes(text.encode(encoding))
-    assert load_database([path]).message("M").signal("S").unit == "m/s²"
+    assert load_database(path).message("M").signal("S").unit == "m/s²"
 
 
 def test_one_line_in_another_encoding_leaves_the_others_as_they_are(tmp_path: Path) -> None:
     text = HEAD + 'BO_ 16 M: 8 CAR\n SG_ S : 0|8@1+ (1,0) [0|0] "m/s²" CAR\n'
     path = tmp_path / "bus.dbc"
     path.write_bytes(text.encode() + 'CM_ "Geschwindigkeit über Grund";\n'.encode("cp1252"))
-    assert load_database([path]).message("M").signal("S").unit == "m/s²"
+    assert load_database(path).message("M").signal("S").unit == "m/s²"
 
 
 MULTIPLEXED = (

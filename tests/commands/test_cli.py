@@ -349,13 +349,12 @@ def test_damaged_configurations_give_an_error_with_place_or_work(
     damage: Callable[[random.Random], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A thousand of each kind: nothing but ConfigError ever comes out, and it names the file."""
-    known: dict[tuple[Path, ...], Database] = {}
+    known: dict[Path, Database] = {}
 
-    def cached(paths: list[Path]) -> Database:
-        key = tuple(paths)
-        if key not in known:
-            known[key] = load_database(paths)
-        return known[key]
+    def cached(path: Path) -> Database:
+        if path not in known:
+            known[path] = load_database(path)
+        return known[path]
 
     monkeypatch.setattr(wiring, "load_database", cached)
     rng = random.Random(7)

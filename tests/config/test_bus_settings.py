@@ -105,8 +105,8 @@ def test_of_two_databases_the_first_that_has_the_message_is_used(order, tmp_path
 
 
 def test_what_the_database_calls_invalid_is_not_available(tmp_path, monkeypatch):
-    def with_invalid(paths: list[Any]) -> Database:
-        messages = dict(load_database(paths).messages)
+    def with_invalid(path: Any) -> Database:
+        messages = dict(load_database(path).messages)
         speed = messages["SPD"]
         signals = dict(speed.signals, V=replace(speed.signals["V"], invalid_raw=0x7FFF))
         messages["SPD"] = replace(speed, signals=signals)

@@ -32,7 +32,7 @@ def proposed(folder: Path, recording: GatheredFrames, axis: str = "") -> Proposa
         assert text != EXAMPLE
     database = folder / "car.dbc"
     database.write_text(text)
-    return discover({str(database): load_database([database])}, recording)
+    return discover({str(database): load_database(database)}, recording)
 
 
 @pytest.mark.slow

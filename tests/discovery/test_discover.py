@@ -33,7 +33,7 @@ EXAMPLE = ROOT / "dbc" / "imucald_example.dbc"
 def proposed(database: Path, *logs: Path) -> Proposal:
     """What is proposed for a log."""
     frames = GatheredFrames.from_chunks(LogReader(list(logs))) if logs else GatheredFrames()
-    return discover({str(database): load_database([database])}, frames)
+    return discover({str(database): load_database(database)}, frames)
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_a_recorder_that_drops_frames_is_named(drive, share):
     frames = concatenate(list(LogReader([drive])))
     kept = frames.take(np.random.default_rng(1).random(len(frames)) >= share)
     recording = GatheredFrames.from_chunks([kept])
-    proposal = discover({"car.dbc": load_database([EXAMPLE])}, recording)
+    proposal = discover({"car.dbc": load_database(EXAMPLE)}, recording)
     text = "% of the frames of each message are lost: the recorder seems to drop frames"
     assert (proposal.loss is None) == (share == 0.0)
     assert proposal.loss is None or proposal.loss.endswith(text)
@@ -251,7 +251,7 @@ def test_all_ones_that_are_jumped_to_are_not_available():
 def random_frames(seed: int, kind: str) -> FrameColumns:
     """Frames of the example bus with random bytes, random walks or the same bytes always."""
     rng = np.random.default_rng(seed)
-    ids = [m.can_id for m in load_database([EXAMPLE]).messages.values()]
+    ids = [m.can_id for m in load_database(EXAMPLE).messages.values()]
     n = 30_000
     can_id = rng.choice(ids, n).astype(np.uint32)
     data = rng.integers(0, 256, (n, 8), dtype=np.uint8)
@@ -272,7 +272,7 @@ def random_frames(seed: int, kind: str) -> FrameColumns:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_signals_without_meaning_prove_nothing(seed, kind):
     frames = GatheredFrames.from_chunks([random_frames(seed, kind)])
-    proposal = discover({"car.dbc": load_database([EXAMPLE])}, frames)
+    proposal = discover({"car.dbc": load_database(EXAMPLE)}, frames)
     assert not [c.quantity for c in proposal.choices if c.is_sure]
     parse_config(as_yaml(proposal, ["car.dbc"]))
 
@@ -280,7 +280,7 @@ def test_signals_without_meaning_prove_nothing(seed, kind):
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_a_few_frames_are_survived(count):
     frames = GatheredFrames.from_chunks([random_frames(3, "random").take(slice(0, count))])
-    assert discover({"car.dbc": load_database([EXAMPLE])}, frames).notes
+    assert discover({"car.dbc": load_database(EXAMPLE)}, frames).notes
 
 
 @pytest.mark.slow
@@ -428,7 +428,7 @@ def test_an_axis_that_is_cut_off_is_no_axis_of_another_message(drive):
     frames = concatenate(list(LogReader([drive])))
     length = np.where(frames.can_id == 0x201, 4, frames.length).astype(frames.length.dtype)
     cut = GatheredFrames.from_chunks([structs.replace(frames, length=length)])
-    proposal = discover({"car.dbc": load_database([EXAMPLE])}, cut)
+    proposal = discover({"car.dbc": load_database(EXAMPLE)}, cut)
     choice = proposal.choice("gyroscope")
     assert choice is None or not choice.is_sure
     yaw_rate = proposal.choice("yaw_rate")
@@ -610,7 +610,7 @@ def test_j1939_messages_of_a_database_that_does_not_say_so_are_found_by_their_pg
     database = tmp_path / "car.dbc"
     database.write_text(text)
     recording = GatheredFrames.from_chunks([structs.replace(frames, can_id=can_id)])
-    proposal = discover({"car.dbc": load_database([database])}, recording)
+    proposal = discover({"car.dbc": load_database(database)}, recording)
     assert proposal.choice("gyroscope").sources["z"].signal == "IMU_Gyro.RateZ"
     out = tmp_path / "car.yaml"
     out.write_text(as_yaml(proposal, ["car.dbc"]))

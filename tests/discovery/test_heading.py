@@ -74,7 +74,7 @@ def proposed(folder: Path, lines: list[str], *, name: str, accel_sign: int) -> P
     log = folder / "drive.log"
     log.write_text("\n".join(lines) + "\n")
     frames = GatheredFrames.from_chunks(LogReader([log]))
-    return discover({str(database): load_database([database])}, frames)
+    return discover({str(database): load_database(database)}, frames)
 
 
 def signs(proposal: Proposal, quantity: str) -> set[int]:

@@ -10,7 +10,7 @@ from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.scalars import LONGITUDINAL, find_scalar
 from paths import ROOT
 
-DATABASE = load_database([ROOT / "dbc" / "imucald_example.dbc"])
+DATABASE = load_database(ROOT / "dbc" / "imucald_example.dbc")
 N = 6000
 
 

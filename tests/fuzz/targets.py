@@ -133,7 +133,7 @@ def database(data: bytes) -> None:
     path = FOLDER / f"car.{ending}"
     path.write_bytes(data[1:])
     with contextlib.suppress(ImucaldError):
-        load_database([path])
+        load_database(path)
 
 
 def log(data: bytes) -> None:

@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"{out}: {text}")
     base = Path(options.out).resolve().parent if out else Path.cwd()
     databases: dict[str, Database] = {
-        os.path.relpath(path.resolve(), base): load_database([path]) for path in options.database
+        os.path.relpath(path.resolve(), base): load_database(path) for path in options.database
     }
     for database in databases.values():
         for line in database.left_out:

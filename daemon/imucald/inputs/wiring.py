@@ -71,7 +71,7 @@ def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
         place: Place = ("database", i)
         path = loaded.database_path(entry)
         try:
-            database = load_database([path])
+            database = load_database(path)
         except DatabaseError as error:
             is_there = os.path.exists(path)  # noqa: PTH110 - False too of a name no file can have
             remedy = "" if is_there else "; paths are relative to the configuration file"

@@ -1,4 +1,4 @@
-"""CAN databases (DBC, ARXML, KCD, SYM): the messages of one bus by name, from one or more files."""
+"""CAN databases (DBC, ARXML, KCD, SYM): the messages of one bus by name."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MiB."""
 
 
 class Database:
-    """The messages of one bus, from one or several files. Message names are unique."""
+    """The messages of one bus. Message names are unique."""
 
     def __init__(self, messages: Sequence[Message], ambiguous: Mapping[str, str]) -> None:
         self.messages: Mapping[str, Message] = {m.name: m for m in _told_apart(messages)}
@@ -91,30 +91,20 @@ class Database:
         return f"; write {' or '.join(found[:3])}" if found else ""
 
 
-def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
-    """Read one or several database files of one bus.
-
-    Raises DatabaseError with file and reason for a file that cannot be read. DatabaseError is also
-    raised if two files describe the same name differently. Unless `shared_ids` is true,
-    DatabaseError is also raised if two files describe the same identifier differently.
-    """
-    messages: list[Message] = []
-    ambiguous: dict[str, str] = {}
-    for path in paths:
-        in_file: dict[str, Message] = {}
-        found, names = _named_apart(_load_file(Path(path)))
-        for message in found:
-            earlier = in_file.get(message.name)
-            if earlier is not None and earlier != message:
-                names[message.name] = ()
-            in_file[message.name] = message
-        for name, instead in names.items():
-            remedy = f"; write {' or '.join(instead)}" if instead else ""
-            ambiguous[name] = f"{path}: two different messages are named {name}{remedy}"
-        _refuse_conflicts(messages, list(in_file.values()), shared_ids)
-        known = {m.name for m in messages}
-        messages += [m for m in in_file.values() if m.name not in known]
-    return Database(messages, ambiguous)
+def load_database(path: Path) -> Database:
+    """Read a database file. Raises DatabaseError with file and reason for a file that cannot be
+    read."""
+    in_file: dict[str, Message] = {}
+    found, names = _named_apart(_load_file(Path(path)))
+    for message in found:
+        if in_file.setdefault(message.name, message) != message:
+            names[message.name] = ()
+        in_file[message.name] = message
+    ambiguous = {}
+    for name, instead in names.items():
+        remedy = f"; write {' or '.join(instead)}" if instead else ""
+        ambiguous[name] = f"{path}: two different messages are named {name}{remedy}"
+    return Database(list(in_file.values()), ambiguous)
 
 
 def _named_apart(
@@ -224,25 +214,3 @@ def _parsed(text: str, database_format: str, source: str) -> Sequence[Message]:
         messages = parse_bounded(text, database_format, source)
         database_cache.keep(text, name, messages, Message)
     return messages
-
-
-def _refuse_conflicts(known: list[Message], new: list[Message], shared_ids: bool) -> None:
-    names = {m.name: m for m in known}
-    ids = {m.can_id: m for m in known if m.signals}
-    for message in new:
-        other = names.get(message.name)
-        if other is not None and not _same(other, message):
-            raise DatabaseError(
-                f"message {message.name} is described differently in {other.source} and in "
-                f"{message.source}; load one of them, or rename one"
-            )
-        other = ids.get(message.can_id)
-        if other is not None and not shared_ids and message.signals and not _same(other, message):
-            raise DatabaseError(
-                f"identifier 0x{message.can_id & CAN_EFF_MASK:X} is {other.name} in {other.source} "
-                f"but {message.name} in {message.source}"
-            )
-
-
-def _same(a: Message, b: Message) -> bool:
-    return a == replace(b, source=a.source)
