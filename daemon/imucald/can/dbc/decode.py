@@ -29,13 +29,8 @@ from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.core.errors import DatabaseError, DecodeError
 
 J1939_PDU1_MASK = 0x03FF_0000
-"""Mask of the PGN of a message to one address: extended data page, data page, PDU format."""
-
-J1939_PDU2_MASK = 0x03FF_FF00
-"""Mask of the PGN of a broadcast message: as `J1939_PDU1_MASK`, plus the group extension."""
-
-FEW_VALUES = 8
-"""Up to this number of multiplexer values, comparing with each value is faster than a search."""
+"""Mask of the PGN of a message to one address: extended data page, data page, PDU format. A
+broadcast message also has the group extension."""
 
 J1939_ADDRESS_MASK = 0xFF
 """Mask of the sender's address."""
@@ -52,7 +47,7 @@ RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 def _pgn_mask(can_id: int) -> int:
     # PDU2: the PDU-specific byte is part of the PGN (SAE J1939-21)
     is_pdu2 = (can_id >> 16 & 0xFF) >= 240
-    return J1939_PDU2_MASK if is_pdu2 else J1939_PDU1_MASK
+    return J1939_PDU1_MASK | 0xFF00 if is_pdu2 else J1939_PDU1_MASK
 
 
 def pgn_of(can_id: int) -> int:
@@ -180,10 +175,7 @@ class DecodePlan:
         data = self._wide(data)
         is_short = bool(len(length)) and self.is_cut and int(length.min()) < self.size
         words: dict[str, NDArray[np.uint64]] = {}
-        selected = {
-            name: _raw_column(data, words, s).astype(np.int64, copy=False)
-            for name, s in self.multiplexers.items()
-        }
+        selected = self._selected(data, words)
         raws, values, presents = [], [], []
         all_ok = bool(ok.all())
         for signal, end in zip(self.signals, self.ends, strict=True):
@@ -209,18 +201,22 @@ class DecodePlan:
         under which signals are present; the frames of the mask meet this condition."""
         if not self.multiplexers:
             return {}
-        data = self._wide(data)
-        words: dict[str, NDArray[np.uint64]] = {}
-        selected = {
-            name: _raw_column(data, words, s).astype(np.int64, copy=False)
-            for name, s in self.multiplexers.items()
-        }
+        selected = self._selected(self._wide(data), {})
         found = {}
         for signal in self.signals:
             present = _present(signal, selected, length >= self.least)
             if present is not None:
                 found[signal.selectors] = present
         return found
+
+    def _selected(
+        self, data: Columns, words: dict[str, NDArray[np.uint64]]
+    ) -> dict[str, NDArray[np.int64]]:
+        """Return the raw values (N,) of the multiplexers."""
+        return {
+            name: _raw_column(data, words, s).astype(np.int64, copy=False)
+            for name, s in self.multiplexers.items()
+        }
 
     def _wide(self, data: Columns) -> Columns:
         """Pad payloads with zeros to at least the width of the message."""
@@ -275,18 +271,9 @@ def _present(
 ) -> NDArray[np.bool_] | None:
     present: NDArray[np.bool_] | None = None
     for name, ids in signal.selectors:
-        found = _any_of(selected[name], ids)
+        found = np.isin(selected[name], np.fromiter(ids, np.int64, len(ids)))
         present = found & ok if present is None else present & found
     return present
-
-
-def _any_of(values: NDArray[np.int64], ids: frozenset[int]) -> NDArray[np.bool_]:
-    if len(ids) > FEW_VALUES:
-        return np.isin(values, np.fromiter(ids, np.int64, len(ids)))
-    found = np.zeros(len(values), bool)
-    for value in ids:
-        found |= values == value
-    return found
 
 
 def _raw_column(
@@ -305,13 +292,7 @@ def _raw_column(
 
 def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
     """Convert bits of IEEE 754 numbers of `length` bits to float64 (N,)."""
-    if length == 64:
-        return bits.view(np.float64)
-    kinds: dict[int, tuple[Any, Any]] = {
-        16: (np.uint16, np.float16),
-        32: (np.uint32, np.float32),
-    }
-    unsigned, floating = kinds[length]
-    narrow: NDArray[Any] = bits.astype(unsigned).view(floating)
+    size = length // 8
+    narrow: NDArray[Any] = bits.astype(f"u{size}").view(f"f{size}")
     with np.errstate(invalid="ignore"):  # a frame may hold signalling NaNs
         return narrow.astype(np.float64)

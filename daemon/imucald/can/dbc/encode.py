@@ -141,11 +141,9 @@ def float_bits(raw: float, length: int) -> int | None:
 def _float_bits_column(
     raw: NDArray[np.float64], length: int
 ) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
-    if length == 64:
-        return raw.copy().view(np.uint64), np.isfinite(raw)
-    floating, unsigned = (np.float32, np.uint32) if length == 32 else (np.float16, np.uint16)
-    narrow: NDArray[Any] = raw.astype(floating)
-    return narrow.view(unsigned).astype(np.uint64), np.isfinite(narrow)
+    size = length // 8
+    narrow: NDArray[Any] = raw.astype(f"f{size}")
+    return narrow.view(f"u{size}").astype(np.uint64), np.isfinite(narrow)
 
 
 def _not_available_bits(signal: Signal, raw: int | float, place: str) -> int:

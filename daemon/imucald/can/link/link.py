@@ -44,10 +44,6 @@ EVENT_PERIOD = 5.0
 their number."""
 
 
-MAX_REASON = 200
-"""Largest number of characters of a driver's text that are shown."""
-
-
 class LinkState(enum.StrEnum):
     """The state of the bus, as far as the interface shows it."""
 
@@ -145,38 +141,6 @@ def down_text(channel: str) -> str:
     return (
         f"{channel} is set down. Run: ip link set up {channel} (a real interface needs its "
         f"bit rate first: ip link set {channel} type can bitrate 500000)"
-    )
-
-
-def bus_off_text(channel: str) -> str:
-    """Return the text for a controller that has left the bus."""
-    return (
-        f"the controller of {channel} is bus-off (wrong bit rate, wiring, or no other node). "
-        f"To let it restart by itself, run: ip link set {channel} type can restart-ms 100"
-    )
-
-
-def conflict_text(channel: str, can_id: int) -> str:
-    """Return the text for a frame of another node with one of our output ids."""
-    digits = 8 if can_id & CAN_EFF_FLAG else 3
-    return (
-        f"another node on {channel} sends our output id {can_id & CAN_EFF_MASK:0{digits}X}: "
-        "choose other ids for the output, or stop the other sender"
-    )
-
-
-def rejected_text(channel: str, reason: str) -> str:
-    """Return the text for invalid frames of an adapter."""
-    return (
-        f"a frame on {channel} was rejected, since it cannot be understood ({reason[:MAX_REASON]})"
-    )
-
-
-def queue_full_text(channel: str) -> str:
-    """Return the text for frames dropped because the interface does not accept them."""
-    return (
-        f"the send queue of {channel} is full and frames are dropped: no other node "
-        f"acknowledges them, or the queue is too short (ip link set {channel} txqueuelen 100)"
     )
 
 
@@ -322,7 +286,13 @@ class Link:
 
     def _conflict(self, can_id: int) -> None:
         self.counters.conflicts += 1
-        self._announcer.announce_seldom("conflict", conflict_text(self.channel, can_id))
+        digits = 8 if can_id & CAN_EFF_FLAG else 3
+        text = (
+            f"another node on {self.channel} sends our output id "
+            f"{can_id & CAN_EFF_MASK:0{digits}X}: choose other ids for the output, or stop the "
+            "other sender"
+        )
+        self._announcer.announce_seldom("conflict", text)
 
     def _error_frame(self, can_id: int) -> None:
         self.counters.error_frames += 1
@@ -330,7 +300,12 @@ class Link:
             self._is_up_again()
         elif can_id & CAN_ERR_BUSOFF and self.state is not LinkState.BUS_OFF:
             self.counters.bus_off += 1
-            self._enter(LinkState.BUS_OFF, bus_off_text(self.channel))
+            text = (
+                f"the controller of {self.channel} is bus-off (wrong bit rate, wiring, or no other "
+                f"node). To let it restart by itself, run: ip link set {self.channel} type can "
+                "restart-ms 100"
+            )
+            self._enter(LinkState.BUS_OFF, text)
 
     def _count_losses(self, port: Port) -> None:
         lost = self._lost_before + port.lost
@@ -342,7 +317,9 @@ class Link:
 
     def _count_rejected(self, port: Port) -> None:
         self.counters.rejected = self._rejected_before + port.rejected
-        self._announcer.announce_seldom("rejected", rejected_text(self.channel, port.why_rejected))
+        why = port.why_rejected[:200]
+        text = f"a frame on {self.channel} was rejected, since it cannot be understood ({why})"
+        self._announcer.announce_seldom("rejected", text)
 
     # ---- sending ------------------------------------------------------------------------------
 
@@ -384,7 +361,12 @@ class Link:
 
     def _queue_full(self) -> None:
         self.counters.not_sent("bus_off" if self.state is LinkState.BUS_OFF else "queue_full")
-        self._announcer.announce_seldom("queue_full", queue_full_text(self.channel))
+        text = (
+            f"the send queue of {self.channel} is full and frames are dropped: no other node "
+            "acknowledges them, or the queue is too short "
+            f"(ip link set {self.channel} txqueuelen 100)"
+        )
+        self._announcer.announce_seldom("queue_full", text)
 
     # ---- losing and regaining -----------------------------------------------------------------
 
