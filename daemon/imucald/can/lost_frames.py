@@ -102,7 +102,6 @@ def cycle_of(intervals: Array) -> Cycle | None:
 
 
 def _resolution(intervals: Array) -> float:
-    """Return the step of the time stamps [s]: the smallest difference between intervals."""
     seen = np.unique(np.round(np.append(intervals, 0.0), 6))
     return float(np.diff(seen).min())
 
@@ -130,12 +129,10 @@ def _centred(x: Array) -> Array:
 
 
 def _errors(t: Array, numbers: Array, cycle: float | Array) -> Array:
-    """Return the errors (..., R, N) of times that are predicted from the numbers [s]."""
     return _centred(t - cycle * numbers)
 
 
 def _slope(t: Array, numbers: Array) -> float:
-    """Return the cycle that fits these numbers [s]."""
     centred = _centred(numbers)
     return float((_centred(t) * centred).sum() / (centred**2).sum())
 

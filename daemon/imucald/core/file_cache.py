@@ -108,7 +108,6 @@ def _write(place: Path, data: bytes) -> None:
 
 
 def _drop_unfinished(folder: Path) -> None:
-    """Remove files that killed processes left unfinished."""
     now = time.time()
     for path in folder.iterdir():
         if _UNFINISHED.fullmatch(path.name):
@@ -132,7 +131,6 @@ def _check(content: bytes) -> bytes:
 
 
 def _is_ours(folder: Path) -> bool:
-    """Return whether no other user can write files to a folder."""
     try:
         found = folder.stat()
     except OSError:

@@ -186,7 +186,6 @@ def _mistakes(value: Any, kind: Any, place: Place, whole: Any) -> Iterator[Mista
 
 
 def _inner_mistakes(value: Any, kind: Any, place: Place, whole: Any) -> Iterator[Mistake]:
-    """Yield the mistakes in the items of a mapping or list."""
     for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
         arguments = get_args(part)
         if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
@@ -283,7 +282,6 @@ def _is_number(value: str, text: str) -> bool:
 
 
 def _keys(value: Any, kind: Any) -> str:
-    """Return a text with the keys of the required mapping, if the value is not a mapping."""
     if isinstance(value, dict) or not (isinstance(kind, type) and issubclass(kind, Struct)):
         return ""
     names = [field.name for field in _fields(kind)]

@@ -127,7 +127,6 @@ class RateGuard:
         return max(TIMES_USUAL * self._usual, least) + max(0.0, math.floor(held_back))
 
     def _enter(self, second: int) -> None:
-        """Process the end of the seconds before `second`."""
         if second <= self._second:
             return
         if self._second >= 0:

@@ -373,7 +373,6 @@ class Router:
     def _rejected_rows(
         self, t: NDArray[np.float64], refused: list[tuple[Tap, Rows]]
     ) -> dict[str, Rows]:
-        """Return the rejected rows that would have been used, by channel."""
         found: dict[str, list[Rows]] = {}
         for tap, rows in refused:
             selector = self._selectors.get(tap.channel)

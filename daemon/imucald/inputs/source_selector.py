@@ -68,7 +68,6 @@ class SourceSelector:
         return selected
 
     def _last_at(self, rank: int, row: Rows) -> Times:
-        """Return the time of the source's last sample up to each row (N,)."""
         found = self._chunk[rank]
         if not found:
             return np.full(len(row), self._before[rank])

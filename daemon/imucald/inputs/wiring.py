@@ -142,7 +142,6 @@ def _grouped(
     wanted: Wanted,
     path: str,
 ) -> tuple[_MessageSignals, Signal]:
-    """Return a signal, and the group of requested signals of its message."""
     holder, message, signal = _find(loaded, databases, wanted, path)
     channel = wanted.source.channel or holder.entry.channel
     address, j1939 = wanted.source_address, holder.entry.j1939

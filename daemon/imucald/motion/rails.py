@@ -311,7 +311,6 @@ class Rail:
         return self._untouched > min(max(allowed, least), most)
 
     def _forget(self) -> None:
-        """Forget all evidence for the rail."""
         self.found = self.changed = False
         self.surprise, self.value = 0.0, math.inf
         for one in self._extremes:

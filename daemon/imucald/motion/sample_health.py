@@ -331,7 +331,6 @@ class SampleHealth:
         }
 
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
-        """Update a sensor's faults after a hop (half a second)."""
         sensor.go_on(found, now, HOP_S)
         others = {c: f for c, f in self.faults.items() if c != sensor.channel}
         self.faults = {**others, sensor.channel: sensor.faults} if sensor.faults else others
@@ -346,5 +345,4 @@ def _change_of_all(rows: HopRows) -> Array:
 
 
 def _hop_of(series: Series, first: int) -> NDArray[np.int64]:
-    """Return the hop (half a second) of each sample, counted from `first`."""
     return np.floor(series.t * TICK_RATE).astype(np.int64) // HOP_TICKS - first

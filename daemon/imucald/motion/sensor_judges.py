@@ -350,8 +350,6 @@ class UnitChange:
 
 
 class _MeanLog:
-    """Mean of the logarithms of sizes above zero."""
-
     def __init__(self) -> None:
         self.count, self.mean = 0, 0.0
 

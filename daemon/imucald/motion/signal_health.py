@@ -196,7 +196,6 @@ class SignalHealth:
         driving: Flags,
         witness: Callable[[int], OtherSignal | None],
     ) -> Flags:
-        """Return the result of `StuckSignal.flags` for the ticks of this call."""
         leaving = self._new.stop - self._new.start
         return self._signals[signal].flags(rows, driving, leaving, lambda: witness(leaving))
 
@@ -238,7 +237,6 @@ class SignalHealth:
         ok_speed: Flags,
         turning: Array,
     ) -> dict[tuple[str, SignalFault], Flags]:
-        """Return the faults. The arguments are those of `untrusted`."""
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=-1)
         wild = np.abs(slope(speed)) > MAX_ROAD_DVDT
@@ -259,7 +257,6 @@ class SignalHealth:
         return known & (rows[..., WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
     def _count(self, signal: str, fault: SignalFault, flags: Flags) -> None:
-        """Add the number of flagged ticks to the count of a signal and fault."""
         n = int(np.count_nonzero(flags))
         if n:
             self.counts[signal, fault] += n

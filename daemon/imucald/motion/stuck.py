@@ -348,7 +348,6 @@ class StuckSignal:
         return one_more(out)
 
     def _goes_on(self, value: Array) -> bool:
-        """Return whether a value (axes,) continues the open run."""
         return bool((np.abs(value - self._open.value) <= self._same).all())
 
     def _has_changed(self, witness: OtherSignal | None, part: slice, run: _OpenRun) -> bool:

@@ -79,7 +79,6 @@ class Database:
         return found + [why for m in self.messages.values() for why in m.left_out.values()]
 
     def _files(self) -> str:
-        """The names of the files of this database, for error texts."""
         files = (re.sub(r":\d+$", "", m.source) for m in self.messages.values())  # without the line
         return ", ".join(dict.fromkeys(files)) or "the database"
 

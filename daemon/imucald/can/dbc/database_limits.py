@@ -92,7 +92,6 @@ def _refuse_number(digits: str, limit: int, text: str, at: int, source: str) -> 
 
 
 def _refuse_multiplexers(text: str, source: str) -> None:
-    """Refuse a DBC whose extended multiplexing selects too many sets of signals."""
     children: dict[tuple[str, str], list[tuple[str, int]]] = {}
     at = 0
     for piece in text.split("SG_MUL_VAL_")[1:]:

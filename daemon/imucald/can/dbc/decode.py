@@ -212,14 +212,12 @@ class DecodePlan:
     def _selected(
         self, data: Columns, words: dict[str, NDArray[np.uint64]]
     ) -> dict[str, NDArray[np.int64]]:
-        """Return the raw values (N,) of the multiplexers."""
         return {
             name: _raw_column(data, words, s).astype(np.int64, copy=False)
             for name, s in self.multiplexers.items()
         }
 
     def _wide(self, data: Columns) -> Columns:
-        """Pad payloads with zeros to at least the width of the message."""
         if data.shape[1] >= self.size:
             return data
         wide = np.zeros((len(data), self.size), np.uint8)

@@ -119,13 +119,11 @@ def _float_limits(signal: Signal) -> tuple[float, float]:
 
 
 def _ceil_double(limit: int) -> float:
-    """Smallest double that is not below the limit."""
     near = float(limit)
     return near if int(near) >= limit else math.nextafter(near, math.inf)
 
 
 def _floor_double(limit: int) -> float:
-    """Largest double that is not above the limit."""
     near = float(limit)
     return near if int(near) <= limit else math.nextafter(near, -math.inf)
 

@@ -49,8 +49,6 @@ class LeftOut(Struct, frozen=True):
 
 
 class _Statement(Struct, frozen=True):
-    """One statement: its keyword and its position in the text."""
-
     keyword: str
     start: int
     end: int
@@ -289,7 +287,6 @@ def _id_reason(number: int) -> str:
 
 
 def _name_reason(name: str) -> str:
-    """Return why a name is invalid, and the remedy."""
     if _NAME.fullmatch(name):
         return ""
     return (

@@ -86,7 +86,6 @@ def _with_left_out(found: list[Message], left_out: Sequence[LeftOut], source: st
 
 
 def _reason_of_kcd(text: str) -> str:
-    """Return why the text of a KCD cannot be read; empty if it can be read."""
     try:
         _cantools().load_string(text, "kcd", strict=False)
     except Exception as error:
@@ -149,7 +148,6 @@ def _why_refused(error: Exception, text: str) -> str:
 
 
 def _last_element(error: BaseException) -> tuple[str, str] | None:
-    """Tag and short name of the innermost named element that was being parsed."""
     found = None
     traceback = error.__traceback__
     while traceback is not None:

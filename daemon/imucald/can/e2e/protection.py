@@ -153,7 +153,6 @@ class MessageChecker:
         return read_bits(before, self._counter.field) == value and data != before
 
     def _sequence(self, t: float, value: int, data: bytes | bytearray) -> int:
-        """Check counter and time of a frame with correct length and checksum."""
         past = self.past
         since = t - past.t
         if not 0.0 <= since <= self._timeout:  # the first, or after a silence

@@ -307,7 +307,6 @@ def _stamp(message: can.Message) -> float:
 
 
 def _reason(error: Exception) -> str:
-    """Return the text of an error, with its type if the text alone is not clear."""
     text = str(error)
     if text and isinstance(error, can.CanError | OSError):
         return text

@@ -343,7 +343,6 @@ class Link:
         return True
 
     def _flush(self, port: Port) -> None:
-        """Send the held frames. Raises OSError if the interface is down or gone."""
         try:
             self._outbox.flush(port)
         except OSError as error:
@@ -371,7 +370,6 @@ class Link:
     # ---- losing and regaining -----------------------------------------------------------------
 
     def _open(self, required: bool) -> Port | None:
-        """Try to open the interface. With `required`, a failure raises LinkError."""
         try:
             port = self._new_port()
         except OSError as error:
@@ -454,7 +452,6 @@ class Link:
         self._enter(LinkState.UP, f"{self.channel} is up again")
 
     def _enter(self, state: LinkState, text: str) -> None:
-        """Set the state, and report it if it has changed."""
         self.state = state
         if state is not self._announced_state:
             self._announced_state = state

@@ -123,7 +123,6 @@ class Outbox:
         return count
 
     def _taken(self, port: Port, can_id: int, data: bytes) -> bool:
-        """Try to send a frame. Return False if the port's queue is full."""
         try:
             port.send(can_id, data, self._bitrate_switch)
         except OSError as error:

@@ -113,7 +113,6 @@ def parse_line(text: bytes) -> Line | str | None:
 
 
 def _reason(text: bytes) -> str:
-    """Return the reason why a line is invalid."""
     if b"\0" in text:
         return "nul_bytes"
     stamp = _STAMP.match(text)

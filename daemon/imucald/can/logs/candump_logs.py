@@ -99,7 +99,6 @@ class _LineReader:
         self._make(0)
 
     def _make(self, most: int) -> None:
-        """Make columns for `most` frames."""
         self._columns: tuple[NDArray[Any], ...] = (
             np.empty(most),
             np.empty(most, np.uint32),

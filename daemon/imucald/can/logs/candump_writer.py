@@ -121,7 +121,6 @@ def _open(name: str) -> BufferedIOBase:
 
 
 def _formatted(frames: FrameColumns, fd_flags: int, name: str) -> bytes:
-    """Return the lines of some frames."""
     length = frames.length.astype(np.intp)
     fd = length > CLASSIC_BYTES if frames.fd is None else frames.fd
     good = (frames.t >= 0) & (frames.t < MAX_SECONDS)
@@ -159,7 +158,6 @@ def _table(texts: list[bytes]) -> NDArray[np.uint8]:
 
 
 def _hex(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return hexadecimal characters (N, 2 L) for bytes (N, L)."""
     return _hex_pairs().take(data).view(np.uint8).reshape(len(data), 2 * data.shape[1])
 
 

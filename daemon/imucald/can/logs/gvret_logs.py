@@ -66,7 +66,6 @@ class GvretReader:
                 self._statistics.reject(reason, text)
 
     def _line(self, line: bytes) -> str:
-        """Process one line. Return the reason why it cannot be used; empty if it is good."""
         words = line.strip().split(b",")
         if words == [b""]:
             return ""

@@ -111,7 +111,6 @@ class PcapReader:
             return
 
     def _packet(self, t: float, packet: bytes, link: int, order: str) -> str:
-        """Process one packet. Return the reason why it is not a frame; empty if it is one."""
         protocol, packet = _unwrapped(packet, link)
         if protocol not in _CAN_PROTOCOLS:
             self._statistics.ignore("other_protocol")
@@ -137,7 +136,6 @@ class PcapReader:
 
 
 def _unwrapped(packet: bytes, link: int) -> tuple[int, bytes]:
-    """Return the protocol of a packet, and its frame."""
     if link == SLL:
         return int.from_bytes(packet[14:16], "big"), packet[16:]
     if link == SLL2:

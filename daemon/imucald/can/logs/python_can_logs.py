@@ -160,7 +160,6 @@ class PythonCanReader:
             yield message
 
     def _so_far(self, before: int) -> str:
-        """Describe how much of this file was read, for messages."""
         first, last = self._statistics.first_stamp, self._last
         seconds = "" if first is None or last is None else f", {last - first:.1f} s"
         return f"{self._statistics.frames_read - before} frames were read{seconds}"
@@ -168,7 +167,6 @@ class PythonCanReader:
     def _take_back(
         self, batch: list[GatheredFrame], last: GatheredFrame | None, path: Path
     ) -> None:
-        """Reject the file's last frame."""
         if last is not None:
             batch.pop()
         self._statistics.frames_read -= 1
@@ -349,7 +347,6 @@ def _channel_name(channel: object) -> str:
 
 
 def _position(reader: Any) -> int:
-    """Return the position of the reader in its file; 0 if not known."""
     file: Any = getattr(reader, "file", None)
     try:
         return int(getattr(file, "buffer", file).tell())

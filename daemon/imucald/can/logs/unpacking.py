@@ -54,8 +54,6 @@ class Member(Protocol):
 
 
 class _Inner:
-    """Properties passed on from a module's decompressor."""
-
     _inner: Any
 
     @property
