@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from engine_bus import columns_of, load
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.core.errors import ConfigError
+from imucald.inputs.column_samples import MAX_SKEW
 from imucald.inputs.sender_choice import SENDER_SETTLING
-from imucald.inputs.source_selector import MAX_SKEW
 from imucald.inputs.wiring import compile_router
 from imucald.service.identity import state_key
 from imucald.traffic.drive_encoder import BusEncoder

@@ -40,6 +40,11 @@ CAN_ERR_FLAG = 0x2000_0000
 """Flag in a CAN id: the frame is an error frame. The other bits of this id are error classes."""
 
 
+KNOWN_IDS = 4096
+"""Largest number of ids for which a result is cached. A bus has few ids; a fuzzed bus or a damaged
+log may have any number of them."""
+
+
 class FrameColumns(Struct, frozen=True, eq=False):
     """N data frames in recorded order, one array for each property.
 

@@ -14,15 +14,12 @@ from imucald.can.columns import (
     CAN_ERR_FLAG,
     CAN_RTR_FLAG,
     CAN_SFF_MASK,
+    KNOWN_IDS,
     IdMatch,
 )
 
 UNWANTED, WANTED, NO_ID = np.uint8(0), np.uint8(1), np.uint8(2)
 """The results of an `IdFilter` for an 11-bit id."""
-
-KNOWN_IDS = 4096
-"""Largest number of ids with a cached class. The cache is cleared when it is full, because a fuzzed
-bus may have any number of ids."""
 
 
 class IdFilter:

@@ -22,24 +22,13 @@ TOGETHER, FIRST = 128, 32
 look. A sender's clock does not drift by a part of a cycle in so few frames."""
 FEWEST = 8
 """Smallest number of intervals that show a cycle."""
-MOST_ROWS = 8
-"""Largest number of groups of frames for which all cycles are tried. The groups are spread over the
-recording."""
 CYCLES = np.exp(np.arange(-0.7, 0.012, 0.1 / FIRST))[:, None, None]
 """Tried cycles (C, 1, 1), divided by the mean interval. With lost frames, the cycle is shorter than
 the mean interval. If more than half of the frames are lost, the cycle is not known. The step is a
 fraction of the resolution of `FIRST` frames."""
-CLOSER = np.exp(np.arange(-0.1 / FIRST, 0.1 / FIRST, 0.1 / TOGETHER))[:, None, None]
-"""Cycles of the closer look, divided by a tried cycle."""
-LOOKS = 5
-"""Number of tried cycles that get a closer look."""
 NEAR, NEAR_SHARE = 0.25, 0.75
 """A message is cyclic if the share NEAR_SHARE of its frames comes at most NEAR cycles early or
 late. For frames at random times, this share is 0.5."""
-LEAST_LATE_S = 1e-5
-"""Smallest error of a time stamp [s]. A frame on a bus is longer."""
-DROPPING_SHARE = 0.02
-"""If every message loses at least this share, the cause is not a single sender."""
 
 
 class Cycle(NamedTuple):
@@ -81,13 +70,16 @@ def cycle_of(intervals: Array) -> Cycle | None:
     count = min(len(intervals), TOGETHER)
     rows = len(intervals) // count
     t = np.cumsum(intervals[: rows * count].reshape(rows, count), axis=1)
-    few = t[:: -(-rows // MOST_ROWS)]
+    # groups of frames for which all cycles are tried, spread over the recording
+    few = t[:: -(-rows // 8)]
     # A time stamp of a coarse clock is late by half a step on average.
-    late = max(0.5 * _resolution(intervals), LEAST_LATE_S)
+    # a frame on a bus is longer than 10 us
+    late = max(0.5 * _resolution(intervals), 1e-5)
     tried = float(intervals.mean()) * CYCLES
     first = few[:, :FIRST]
     lengths = _length(first, _numbers(first, tried), tried, late)
-    tried = (tried[np.argsort(lengths)[:LOOKS]] * CLOSER.T).reshape(-1, 1, 1)
+    closer = np.exp(np.arange(-0.1 / FIRST, 0.1 / FIRST, 0.1 / TOGETHER))
+    tried = (tried[np.argsort(lengths)[:5]] * closer).reshape(-1, 1, 1)
     best = float(tried[np.argmin(_length(few, _numbers(few, tried), tried, late))].item())
     for _ in range(2):
         best = _slope(t, _numbers(t, best))
@@ -151,7 +143,8 @@ def _length(t: Array, numbers: Array, cycle: float | Array, late: float) -> Arra
 def dropping_recorder(shares: Sequence[float | None]) -> str | None:
     """Return a text if the lost shares of several messages show a faulty recorder, else None."""
     known = [share for share in shares if share is not None]
-    if len(known) < 2 or min(known) < DROPPING_SHARE:
+    # if every message loses 2 %, the cause is not a single sender
+    if len(known) < 2 or min(known) < 0.02:
         return None
     low, high = (f"{100.0 * share:.0f}" for share in (min(known), max(known)))
     part = low if low == high else f"{low} to {high}"

@@ -24,8 +24,6 @@ MAX_TEXT: Final = 32 * 2**20
 """Largest size of a cached database [characters]."""
 MAX_FILES: Final = 64
 """Largest number of databases in the cache. There is one cache file for each path of a database."""
-STALE_S: Final = 600.0
-"""Age at which an unfinished file is removed [s]. Writing a file takes less than a second."""
 _SUFFIX: Final = ".json"
 _UNFINISHED: Final = re.compile(r"[0-9a-f]{8}\.[0-9]+")
 """Name of a file that is being written: its final name, and the process number."""
@@ -112,7 +110,8 @@ def _drop_unfinished(folder: Path) -> None:
     for path in folder.iterdir():
         if _UNFINISHED.fullmatch(path.name):
             with suppress(OSError):
-                if abs(now - path.stat().st_mtime) > STALE_S:  # the clock may have been set back
+                # writing takes less than a second, and the clock may have been set back
+                if abs(now - path.stat().st_mtime) > 600.0:
                     path.unlink()
 
 

@@ -8,16 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-PACKAGED = "/usr/lib/imucald/"
-"""Folder in which the Debian packages install imucald."""
-IN_WORKBENCH = ("live", "report")
-"""Extras that the Debian package imucald-workbench contains."""
-
 
 def how_to_install(extra: str) -> str:
     """Return a text for messages with the command that installs an extra of pyproject.toml."""
-    if __file__.startswith(PACKAGED):
-        if extra in IN_WORKBENCH:
+    # the folder of the Debian packages
+    if __file__.startswith("/usr/lib/imucald/"):
+        if extra in ("live", "report"):
             return "install the Debian package imucald-workbench"
         return f"no Debian package contains it; in a Python environment: pip install '.[{extra}]'"
     return f"pip install '.[{extra}]' in imucald's checkout"

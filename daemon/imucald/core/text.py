@@ -27,7 +27,6 @@ UNSAFE: Final = re.compile(
     f"{_SURROGATES}]|\r(?!\n)"
 )
 """Unsafe characters for screens and logs. Line breaks and tabs are not unsafe."""
-_NUMBERS: Final = re.compile(r"[0-9.]+")
 _LINE_BREAKING: Final = re.compile(f"{UNSAFE.pattern}|[\n\t\r]")
 
 
@@ -45,7 +44,7 @@ def one_line(text: str) -> str:
 def without_numbers(text: str) -> str:
     """Return the text without its numbers. The results are equal for texts that differ only in
     numbers."""
-    return _NUMBERS.sub("", text)
+    return re.sub(r"[0-9.]+", "", text)
 
 
 class SafeStream:
@@ -116,7 +115,7 @@ def size(count: float) -> str:
     return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
 
 
-_LONE = re.compile("[\ud800-\udfff]")
+_LONE = re.compile(f"[{_SURROGATES}]")
 
 
 def encodable(text: str) -> str:

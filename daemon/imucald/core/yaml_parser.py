@@ -17,16 +17,8 @@ MAX_EVENTS = 20_000
 """Largest number of parser events (keys, values, beginnings and ends of collections): thirty times
 the number in a complete model file.
 """
-MAX_NUMBER = 64
-"""Longest number [characters].
-
-The time for numbers in base 60 (1:30:00) grows with the square of their length.
-"""
 
 _NESTED = "nested too deeply"
-_TOO_DEEP = "exceeded maximum nesting depth"
-"""Message of libyaml for too deep nesting (since PyYAML 6.0.4). libyaml may detect deep nesting
-before this module does."""
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
 """Numbers such as 1e-3, which YAML 1.1 reads as text and YAML 1.2 reads as numbers."""
@@ -51,7 +43,8 @@ def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark is not None else 1
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-        if problem == _TOO_DEEP:
+        # libyaml may detect it before this module does (since PyYAML 6.0.4)
+        if problem == "exceeded maximum nesting depth":
             raise ConfigError(f"{name}:{line}: {_NESTED}") from None
         if _has_tab(text, line):
             problem += "; indent with spaces, not tabs"
@@ -105,7 +98,8 @@ def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) 
             marks[(*place, key)] = key_line
             result[key] = _build(loader, value_node, (*place, key), marks, name)
         return result
-    if node.tag in _NUMBER_TAGS and len(node.value) > MAX_NUMBER:
+    # the time for numbers in base 60 (1:30:00) grows with the square of their length
+    if node.tag in _NUMBER_TAGS and len(node.value) > 64:
         raise ConfigError(f"{name}:{line}: a number of {len(node.value)} characters")
     value = _scalar(loader, node)
     if value is not None and not isinstance(value, str | int | float | bool):

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.can.dbc.resolved_signal import EXACT_IN_DOUBLE
 from imucald.core.errors import ConfigError
 
 MAX_TEXT = 300
@@ -25,8 +26,6 @@ MAX_BYTE = 63
 """Highest byte index of a CAN FD frame."""
 MAX_SHIFT = 40
 """Largest shift [bit]: five bytes, enough for the widest raw field in practice."""
-MAX_MAGNITUDE = 2.0**53
-"""Largest magnitude of any intermediate value. Larger values are not exact in float64 columns."""
 
 _BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.LShift, ast.RShift, ast.BitAnd, ast.BitOr)
 _COMPARE = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
@@ -54,7 +53,7 @@ class Expression:
     def _check(self, node: ast.expr) -> float:
         """Refuse nodes outside the language. Return an upper bound of the value's magnitude."""
         bound = self._bound(node)
-        if bound > MAX_MAGNITUDE:
+        if bound > EXACT_IN_DOUBLE:
             raise ConfigError(
                 f"{ast.unparse(node)!r} can exceed 2^53, where numbers are no longer exact"
             )

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.columns import KNOWN_IDS, FrameColumns, IdMatch
 from imucald.can.dbc.bits import Columns as Bytes
 from imucald.can.e2e.protection import DOUBLED, OK
 from imucald.can.e2e.protection import REASONS as FRAME_REASONS
@@ -23,6 +23,9 @@ from imucald.core.samples import speed_of_wheels, speeds_of_wheels, width_of
 from imucald.inputs.column_samples import (
     ColumnSamples,
     Routed,
+    SourceSelector,
+    TapSamples,
+    TriadAssembler,
     assembled,
     joined,
     rows_of,
@@ -31,12 +34,7 @@ from imucald.inputs.conversion import REASONS
 from imucald.inputs.routes import NOT_OURS, MessageRoute, SignalRoute
 from imucald.inputs.sender_choice import Asked, taken
 from imucald.inputs.sender_choice import joined as joined_senders
-from imucald.inputs.source_selector import SourceSelector, TapSamples, TriadAssembler
 from imucald.inputs.taps import Columns, Physical, Raw, Tap
-
-MAX_KNOWN_IDS = 4096
-"""Largest number of cached identifiers. A J1939 bus has few different identifiers; an attacker may
-send many."""
 
 OF_SENSOR = frozenset(("accel", "gyro", "mag"))
 """Channels of the sensor that is calibrated."""
@@ -294,7 +292,7 @@ class Router:
             routes = tuple(
                 r for r in self.routes if not (can_id ^ r.match.can_id) & r.match.full_mask
             )
-            if len(self._known) < MAX_KNOWN_IDS:
+            if len(self._known) < KNOWN_IDS:
                 self._known[can_id] = routes
         return routes
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Index
-from imucald.inputs.source_selector import MAX_SKEW
+from imucald.inputs.column_samples import MAX_SKEW
 
 
 class SignBit:

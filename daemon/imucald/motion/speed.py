@@ -17,7 +17,6 @@ from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import TICK_S
 
-NAN = math.nan
 HISTORY_TICKS = 64
 """Number of ticks whose running sums are kept. This number is enough for any delay and an interval
 of up to 4 s."""
@@ -76,7 +75,7 @@ class SpeedIntervalMaker:
         self._last = _Sums(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._pending: deque[tuple[float, float]] = deque(maxlen=HISTORY_TICKS)
         self._knot: _Sums | None = None
-        self._knot_speed = NAN
+        self._knot_speed = math.nan
         self._speed_seen = -math.inf
 
     def add_speed(self, t: float, speed: float) -> None:
@@ -106,7 +105,7 @@ class SpeedIntervalMaker:
         if t - self._speed_seen > self._timeout:
             self._pending.clear()
             if self._knot is None or t - self._knot.t >= self._block_s - 0.5 * TICK_S:
-                return self._cut(last, NAN)
+                return self._cut(last, math.nan)
             return None
         while self._pending and self._pending[0][0] <= t:
             at, speed = self._pending.popleft()
@@ -150,6 +149,6 @@ class SpeedIntervalMaker:
             dvdt=(speed - speed_before) / dt,
             yaw_rate=(knot.yaw - before.yaw) / dt
             if knot.yaw_unknown == before.yaw_unknown
-            else NAN,
+            else math.nan,
             clean=knot.bad == before.bad,
         )

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from imucald.motion.standstill import MAX_ZERO_OFFSET
 from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
-NAN = math.nan
 OFFSET_MEMORY = 600
 """Largest weight of an offset, in ticks at rest. Older data are forgotten, because the offset
 drifts with temperature."""
@@ -95,18 +94,18 @@ class YawRateSource:
 
     def restart(self) -> None:
         """Forget held values, and keep the offsets."""
-        self._rate = NAN
+        self._rate = math.nan
         self._rate_age = MAX_HOLD_TICKS + 1
         self._gyro: tuple[float, float, float] | None = None
         self._gyro_age = MAX_HOLD_TICKS + 1
-        self._steering = NAN
+        self._steering = math.nan
         self._steering_age = MAX_HOLD_TICKS + 1
         self.source = ""
 
     @property
     def steering(self) -> float:
         """Present steering-wheel angle [rad]; NaN if it is not known."""
-        return self._steering if self._steering_age <= MAX_HOLD_TICKS else NAN
+        return self._steering if self._steering_age <= MAX_HOLD_TICKS else math.nan
 
     def take_tick(
         self,
@@ -132,7 +131,7 @@ class YawRateSource:
             self.source = "steering"
             return yaw_rate_from_steering(speed, steering, self._ratio, self._wheelbase)
         self.source = ""
-        return NAN
+        return math.nan
 
     def _take(self, tick: TickRow, at_rest: bool) -> None:
         if tick[YAW_RATE.n] > 0.0:

@@ -116,8 +116,6 @@ TEMPERATURE, HEADING = LASTS[samples.TEMPERATURE.channel], LASTS[samples.HEADING
 COLUMNS = _AFTER_MEANS + 2 + len(LASTS)
 """Number of columns of a row."""
 
-NAN = math.nan
-
 BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
 """Columns that count the samples rejected for their values.
 
@@ -127,7 +125,7 @@ _NEVER_NAN = (
     ACCEL.n, GYRO.n, SPEED.n, *(columns.n for columns in MEANS.values()), WHEEL_SPREAD.n,
     ACCEL.bad, GYRO.bad, SPEED.bad,
 )  # fmt: skip
-_EMPTY = [0.0 if i in _NEVER_NAN else NAN for i in range(COLUMNS)]
+_EMPTY = [0.0 if i in _NEVER_NAN else math.nan for i in range(COLUMNS)]
 
 
 def empty_rows(n: int) -> NDArray[np.float64]:

@@ -10,13 +10,10 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns, concatenate
+from imucald.can.logs.recorder_clock import HEAD_BITS, LONG_ID_BITS
 from imucald.core.arrays import Array
 from imucald.simulation.filters import generator
 
-STANDARD_BITS = 47
-"""Number of bits of a data frame with an 11-bit id: without payload, with the gap to the next
-frame."""
-EXTENDED_BITS = 67
 CYCLES_S = (0.01, 0.02, 0.05, 0.1, 1.0)
 CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
 """Shares of the messages of a real bus, one share for each cycle time."""
@@ -150,7 +147,7 @@ def _served(
 
 def _durations(frames: FrameColumns, bitrate: float) -> Array:
     extended = (frames.can_id & CAN_EFF_FLAG) != 0
-    bits = np.where(extended, EXTENDED_BITS, STANDARD_BITS) + 8.0 * frames.length
+    bits = np.where(extended, HEAD_BITS + LONG_ID_BITS, HEAD_BITS) + 8.0 * frames.length
     # stuff bits
     durations: Array = bits * (1.1 / bitrate)
     return durations

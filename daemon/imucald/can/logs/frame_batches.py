@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
+from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, KNOWN_IDS, Channels, FrameColumns
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import MAX_LINE_BYTES
 from imucald.can.logs.log_format import ReadStatistics
@@ -17,10 +17,6 @@ from imucald.core.errors import LogError
 
 BATCH_FRAMES: Final = 8192
 """Number of wanted frames collected before they are passed on."""
-
-MAX_IDS: Final = 65_536
-"""Largest number of ids with a cached result. A log with more ids is damaged; the cache is then
-cleared from time to time."""
 
 GatheredFrame = tuple[float, int, bytes, int, bool]
 """Time [s], id with flag, payload, channel index, CAN FD."""
@@ -61,7 +57,7 @@ class FrameBatches:
         """True if frames with this id on this channel are wanted."""
         key = index, can_id
         if key not in self._verdicts:
-            if len(self._verdicts) == MAX_IDS:
+            if len(self._verdicts) >= KNOWN_IDS:
                 self._verdicts.clear()
             self._verdicts[key] = self._filters.filter_of(channel).wanted(can_id)
         return self._verdicts[key]

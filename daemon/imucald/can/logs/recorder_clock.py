@@ -33,8 +33,6 @@ Times = NDArray[np.float64]
 
 BIT_S: Final = 1e-6
 """Shortest bit of classic CAN and of the header of a CAN FD frame [s]."""
-FD_BIT_S: Final = BIT_S / 8
-"""Shortest bit of CAN FD data [s]."""
 HEAD_BITS, FD_HEAD_BITS, FD_TAIL_BITS, LONG_ID_BITS = 47, 30, 28, 20
 """Bits of a frame without its data: with the gap after it, without stuff bits (ISO 11898-1)."""
 LEAST_GAP: Final = 0.9
@@ -44,8 +42,6 @@ SAME_ID_SHARE: Final = 0.25
 """Time stamps are coarse if more than this share of the frames has another frame of the same id in
 its run. A run is a sequence of frames that follow each other faster than a bus allows."""
 
-BACKLOG_S: Final = 2.0
-"""Longest duration of bus traffic that a recorder may deliver late with a single time stamp [s]."""
 MIN_LOOPS: Final = 5
 """If the same step back occurs at least this number of times, the clock restarts."""
 LOOP_TOLERANCE: Final = 0.1
@@ -234,7 +230,8 @@ class _BusTime:
                 f"{self._frames} frames lie within {passed:.3g} s, and {self._back} stamps go "
                 "back; record with: candump -l can0"
             )
-        if needed > passed + BACKLOG_S:
+        # a recorder may deliver so much bus traffic late, with a single time stamp
+        if needed > passed + 2.0:
             raise LogError(
                 f"{self._log}: {self._frames} frames lie within {passed:.3g} s by their time "
                 f"stamps; a bus of 1 Mbit/s needs at least {needed:.1f} s for them: the "
@@ -248,7 +245,7 @@ def _bus_seconds(frames: FrameColumns) -> Times:
     bits = frames.length * 8.0
     seconds = (bits + HEAD_BITS) * BIT_S
     if frames.fd is not None:
-        fast = (bits + FD_TAIL_BITS) * FD_BIT_S + FD_HEAD_BITS * BIT_S
+        fast = (bits + FD_TAIL_BITS) * (BIT_S / 8) + FD_HEAD_BITS * BIT_S
         seconds = np.where(frames.fd, fast, seconds)
     long_id = frames.can_id >= CAN_EFF_FLAG
     return seconds + long_id * (LONG_ID_BITS * BIT_S)
