@@ -254,15 +254,13 @@ class Lasting:
 
 def unlike_gravity(mean: Array) -> Flags:
     """Return flags (H,) of the mean forces (3, H) whose magnitude no drive keeps for long."""
-    low, high = ROAD_FORCE
-    size2 = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]
+    (low, high), size2 = ROAD_FORCE, (mean * mean).sum(axis=0)
     return np.asarray((size2 < low * low) | (size2 > high * high))
 
 
 def turning_wildly(mean: Array) -> Flags:
     """Return flags (H,) of the mean rates (3, H) whose magnitude no vehicle keeps for long."""
-    size2 = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]
-    return np.asarray(size2 > MAX_RATE * MAX_RATE)
+    return np.asarray((mean * mean).sum(axis=0) > MAX_RATE * MAX_RATE)
 
 
 class UnitChange:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import enum
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -69,18 +69,19 @@ HOLD_TICKS: Mapping[SignalFault, int] = {
 in which faults are counted.
 """
 
-_LIMITED = [
-    (i, most, count) for count, part, most in MAX_TICK for i in range(part.start, part.stop)
-]
-_COLUMNS, _MOST, _COUNTS = (np.array(one) for one in zip(*_LIMITED, strict=True))
-"""Columns of a tick with a largest allowed value, these largest values, and the columns of the
-sample counts."""
-
 _SIGNALS = {
     ACCEL.n: "accel", GYRO.n: "gyro", SPEED.n: "speed", STEERING.n: "steering",
     YAW_RATE.n: "yaw_rate",
 }  # fmt: skip
 """Name of the signal for each column of a sample count."""
+
+
+def _impossible(rows: Array) -> Iterator[tuple[int, Flags]]:
+    """Yield the column of a sensor's count, and the ticks (N,) at which its values are impossible
+    or NaN."""
+    for count, columns, largest in MAX_TICK:
+        sound = np.abs(rows[:, columns]).max(axis=1) <= largest  # False for NaN
+        yield count, (rows[:, count] > 0) & ~sound
 
 
 def spread_out(flags: Flags, ticks: int) -> Flags:
@@ -143,16 +144,11 @@ class SignalHealth:
     @staticmethod
     def is_possible(rows: Array) -> bool:
         """Return whether ticks (N, COLUMNS) contain no impossible number."""
-        sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
-        return bool(((sizes <= _MOST) | (counts == 0)).all())
+        return not any(bad.any() for _, bad in _impossible(rows))
 
     def drop_impossible(self, rows: Array) -> None:
         """Remove, in place, the sensors of new ticks that contain an impossible number or NaN."""
-        if self.is_possible(rows):
-            return
-        for count, columns, largest in MAX_TICK:
-            sound = np.abs(rows[:, columns]).max(axis=1) <= largest  # False for NaN
-            bad = (rows[:, count] > 0) & ~sound
+        for count, bad in _impossible(rows):
             if bad.any():
                 rows[bad, count] = 0.0
                 self._count(_SIGNALS[count], SignalFault.IMPOSSIBLE, bad)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,17 +251,10 @@ def _bus_seconds(frames: FrameColumns) -> Times:
     return seconds + long_id * (LONG_ID_BITS * BIT_S)
 
 
-class _HandedOver(NamedTuple):
-    """Runs of frames closer together than a bus allows: first frame and time stamp of each run."""
-
-    start: NDArray[np.intp]
-    t: Times
-
-
-def _runs(frames: FrameColumns) -> _HandedOver:
+def _runs(frames: FrameColumns) -> NDArray[np.intp]:
+    """Return the first frame of each run of frames closer together than a bus allows."""
     gap, least = np.diff(frames.t), LEAST_GAP * _bus_seconds(frames)[1:]
-    start = np.flatnonzero(np.r_[True, ~((gap >= 0.0) & (gap < least))])
-    return _HandedOver(start, frames.t[start])
+    return np.flatnonzero(np.r_[True, ~((gap >= 0.0) & (gap < least))])
 
 
 def _burst_step(frames: FrameColumns) -> float:
@@ -275,21 +268,21 @@ def _burst_step(frames: FrameColumns) -> float:
     if count < MIN_FRAMES:
         return 0.0
     runs = _runs(frames)
-    if len(runs.start) > count // 2 or len(runs.start) < 2:
+    if len(runs) > count // 2 or len(runs) < 2:
         return 0.0
     run = np.zeros(count, np.uint64)
-    run[runs.start[1:]] = 1
+    run[runs[1:]] = 1
     run = np.cumsum(run, dtype=np.uint64)
     key = (run << np.uint64(40)) + (frames.channel.astype(np.uint64) << np.uint64(32))
     _, times = np.unique(key + frames.can_id, return_counts=True)
     if int(times[times > 1].sum()) <= SAME_ID_SHARE * count:
         return 0.0
-    steps = np.diff(runs.t)
+    steps = np.diff(frames.t[runs])
     if np.count_nonzero(steps <= 0.0) > LOOP_TOLERANCE * len(steps):
         return 0.0  # no clock
     step = median(steps)
     # After spreading, the distance of frames must be possible on a bus.
-    fits = step * len(runs.start) > np.bincount(frames.channel, _bus_seconds(frames)).max()
+    fits = step * len(runs) > np.bincount(frames.channel, _bus_seconds(frames)).max()
     return step if fits else 0.0
 
 
@@ -318,7 +311,7 @@ class _Bursts:
         """Add frames. Return the frames of completed bursts, with their times."""
         if self._open is not None:
             frames = concatenate([self._open, frames])
-        last = int(_runs(frames).start[-1])
+        last = int(_runs(frames)[-1])
         self._open = frames.take(slice(last, len(frames)))
         return self._spread(frames.take(slice(0, last)))
 
@@ -331,14 +324,13 @@ class _Bursts:
         if not len(frames):
             return frames
         runs = _runs(frames)
-        count = np.diff(np.r_[runs.start, len(frames)])
-        since = np.diff(
-            runs.t, prepend=runs.t[0] - self.step if self._before is None else self._before
-        )
-        self._before = float(runs.t[-1])
+        count = np.diff(np.r_[runs, len(frames)])
+        t = frames.t[runs]
+        since = np.diff(t, prepend=t[0] - self.step if self._before is None else self._before)
+        self._before = float(t[-1])
         since[~((since >= 0.0) & (since <= MAX_STEP * self.step))] = self.step
         run = np.repeat(np.arange(len(count)), count)
         left = np.cumsum(count)[run] - 1 - np.arange(len(frames))
         # Times are one step late: this is the true time for a clock that is read too coarsely,
         # and no time is before the first stamp.
-        return frames.at(runs.t[run] + self.step - since[run] * left / count[run])
+        return frames.at(t[run] + self.step - since[run] * left / count[run])

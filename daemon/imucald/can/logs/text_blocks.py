@@ -60,12 +60,12 @@ def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource
         raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
 
 
-class _Looked:
+class _Headed:
     """An open source whose first bytes were already read."""
 
-    def __init__(self, head: bytes, source: ByteSource) -> None:
-        self._head = head
-        self._source = source
+    def __init__(self, source: ByteSource, head: bytes) -> None:
+        self.bytes_read = len(head)
+        self._source, self._head = source, head
 
     def read(self, size: int, /) -> bytes | None:
         """Read up to `size` bytes."""
@@ -74,13 +74,15 @@ class _Looked:
         given, self._head = self._head[:size], self._head[size:]
         return given
 
-    def readinto(self, buffer: memoryview, /) -> int | None:
-        """Fill a buffer with the available bytes; return their number."""
-        if not self._head:
-            return self._source.readinto(buffer)
-        given = self.read(len(buffer)) or b""
-        buffer[: len(given)] = given
-        return len(given)
+    def readinto(self, buffer: memoryview, /) -> int:
+        """Fill a buffer with the available bytes; return their number; 0 at the end."""
+        if given := self._head[: len(buffer)]:
+            buffer[: len(given)] = given
+            self._head = self._head[len(given) :]
+            return len(given)
+        count = self._source.readinto(buffer) or 0
+        self.bytes_read += count
+        return count
 
 
 @contextmanager
@@ -104,7 +106,7 @@ def looked_at(
         except OSError as error:
             raise LogError(f"{path}: cannot be read: {error.strerror}") from error
         if once or isinstance(path, OpenLog):
-            yield head, OpenLog(_Looked(head, source), str(path))
+            yield head, OpenLog(_Headed(source, head), str(path))
         else:
             yield head, path
 
@@ -117,27 +119,6 @@ def is_read_once(path: Path | str) -> bool:
         return not stat.S_ISREG(Path(path).stat().st_mode)
     except OSError:
         return False
-
-
-class _Plain:
-    """A source of uncompressed bytes. The bytes that were already read to find the format are
-    returned first."""
-
-    def __init__(self, source: ByteSource, head: bytes) -> None:
-        self.bytes_read = len(head)
-        self._source = source
-        self._head = head
-
-    def readinto(self, view: memoryview) -> int:
-        """Read the available bytes, up to the view's length. Return their number; 0 at the end."""
-        if self._head:
-            count = len(self._head)
-            view[:count] = self._head
-            self._head = b""
-            return count
-        count = self._source.readinto(view) or 0
-        self.bytes_read += count
-        return count
 
 
 class TextBlocks:
@@ -157,7 +138,7 @@ class TextBlocks:
         while len(head) < MAGIC_BYTES and (more := source.read(MAGIC_BYTES - len(head))):
             head += more  # a pipe may return less than requested
         member = packed_as(head)
-        self._stream = _Plain(source, head) if member is None else Unpacked(source, head, member)
+        self._stream = _Headed(source, head) if member is None else Unpacked(source, head, member)
 
     @property
     def bytes_read(self) -> int:
