@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from imucald.can import logs
-from imucald.can.logs import python_can_logs
+from imucald.can.logs import frame_batches, python_can_logs
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
 from imucald.core.errors import LogError
@@ -116,7 +116,7 @@ def test_remote_and_error_frames_are_counted_but_not_passed_on(tmp_path: Path, n
 def test_filters_and_batches_are_those_of_candump(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(python_can_logs, "BATCH_FRAMES", 3)
+    monkeypatch.setattr(frame_batches, "BATCH_FRAMES", 3)
     write(tmp_path / "a.blf", [message(f) for f in FRAMES])
     done: list[int] = []
     keep = [IdMatch(0x3E8, 0x7FF, "can1"), IdMatch(0x200, 0x7FF, "can0")]

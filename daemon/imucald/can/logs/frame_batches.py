@@ -62,6 +62,13 @@ class FrameBatches:
             self._verdicts[key] = self._filters.filter_of(channel).wanted(can_id)
         return self._verdicts[key]
 
+    def __len__(self) -> int:
+        return len(self._batch)
+
+    def drop_from(self, place: int) -> None:
+        """Remove the frames collected since there were `place` of them."""
+        del self._batch[place:]
+
     def columns(self) -> FrameColumns:
         """Return the frames collected so far, and start a new batch."""
         batch, self._batch = self._batch, []

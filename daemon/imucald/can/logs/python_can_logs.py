@@ -22,12 +22,7 @@ from imucald.can.columns import (
 )
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown, words_of
-from imucald.can.logs.frame_batches import (
-    BATCH_FRAMES,
-    FrameBatches,
-    GatheredFrame,
-    columns_of_frames,
-)
+from imucald.can.logs.frame_batches import FrameBatches
 from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import FREE_BYTES, InPieces, plain_ending, plain_file
@@ -73,7 +68,6 @@ class PythonCanReader:
         return any(begins.match(head) for begins in _BEGINNINGS.values())
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
-        self._channels = channels
         self._statistics = statistics
         self._last: float | None = None
         self._batches = FrameBatches(filters, channels, statistics)
@@ -105,23 +99,21 @@ class PythonCanReader:
         why, end = _faults(plain, kind)
         if why:
             raise LogError(f"{path}: cannot be read: {why}")
-        batch: list[GatheredFrame] = []
-        frame, counted, reader = None, before, None
+        counted, kept, reader = before, 0, None
         try:
             with _open(plain, kind, path) as reader:
                 for number, message in enumerate(self._heard(reader, path), 1):
-                    counted = self._statistics.frames_read
-                    frame = self._judge(message, path, number)
-                    if frame is not None:
-                        batch.append(frame)
                     # The last frame is held back, because it may have to be removed.
-                    if len(batch) > BATCH_FRAMES:
-                        yield columns_of_frames(batch[:-1], self._channels.names)
-                        batch = batch[-1:]
+                    if self._batches.is_full:
+                        yield self._batches.columns()
+                    counted, kept = self._statistics.frames_read, len(self._batches)
+                    self._judge(message, path, number)
                     if number % 20_000 == 0:
                         report(_position(reader))
             if cut and self._statistics.frames_read > counted:
-                self._take_back(batch, frame, path)
+                self._batches.drop_from(kept)
+                self._statistics.frames_read = counted
+                self._statistics.reject("cut_line", f"{path}: the last line is cut")
         except LogError:
             raise
         # python-can's readers may raise any exception for damaged files; it is not documented.
@@ -135,8 +127,7 @@ class PythonCanReader:
             end = None
         if end:
             self._statistics.reject("cut_file", f"{path}: {end}; {self._so_far(before)}")
-        if batch:
-            yield columns_of_frames(batch, self._channels.names)
+        yield self._batches.columns()
 
     def _heard(self, reader: Iterable[Any], path: Path) -> Iterator[Any]:
         """Yield the messages of a reader. The reader warns about skipped data; each warning is
@@ -164,38 +155,23 @@ class PythonCanReader:
         seconds = "" if first is None or last is None else f", {last - first:.1f} s"
         return f"{self._statistics.frames_read - before} frames were read{seconds}"
 
-    def _take_back(
-        self, batch: list[GatheredFrame], last: GatheredFrame | None, path: Path
-    ) -> None:
-        if last is not None:
-            batch.pop()
-        self._statistics.frames_read -= 1
-        self._statistics.reject("cut_line", f"{path}: the last line is cut")
-
-    def _judge(self, message: Any, path: Path, number: int) -> GatheredFrame | None:
-        """Count one message; return it if it is a wanted data frame."""
+    def _judge(self, message: Any, path: Path, number: int) -> None:
+        """Count one message; keep it if it is a wanted data frame."""
         if math.isfinite(message.timestamp):
             self._statistics.stamp(message.timestamp)
             self._last = message.timestamp
-        if message.is_error_frame:
-            self._statistics.ignore("error_frame")
-            return None
-        if message.is_remote_frame:
-            self._statistics.ignore("remote_frame")
-            return None
+        if message.is_error_frame or message.is_remote_frame:
+            self._statistics.ignore("error_frame" if message.is_error_frame else "remote_frame")
+            return
         reason = _fault(message)
-        channel = _channel_name(message.channel)
-        index = self._channels.index(channel)
-        if reason or index is None:
-            reason = reason or "too_many_channels"
+        if not reason:
+            can_id = message.arbitration_id | (CAN_EFF_FLAG if message.is_extended_id else 0)
+            frame = message.timestamp, can_id, bytes(message.data), _channel_name(message.channel)
+            added = self._batches.add_frame(*frame, bool(message.is_fd))
+            reason = "" if added else "too_many_channels"
+        if reason:
             text = f"{path}: message {number}: {words_of(reason)}"
             self._statistics.reject(reason, text)
-            return None
-        self._statistics.frames_read += 1
-        can_id = message.arbitration_id | (CAN_EFF_FLAG if message.is_extended_id else 0)
-        if not self._batches.is_wanted(index, can_id, channel):
-            return None
-        return message.timestamp, can_id, bytes(message.data), index, bool(message.is_fd)
 
 
 def _kind(plain: Path, named: Path) -> str:
