@@ -162,19 +162,17 @@ Found = tuple[ChecksumSpec, dict[str, Any], str] | None
 
 
 def _profile_1(size: int, offset: int, data: Columns) -> Found:
-    bit = 8 * offset
-    counter = _header_counter(1, bit, data)
+    counter = _header_counter(1, offset, data)
     if counter is None:
         return None
-    places = (bit, bit + 8, bit + 12)
-    without = e2e_profile_1(size, 0, "low", *places)
+    without = e2e_profile_1(size, 0, "low", offset)
     added = _added(without, data)
-    ids = {_difference(e2e_profile_1(size, i, "low", *places), without): i for i in range(256)}
+    ids = {_difference(e2e_profile_1(size, i, "low", offset), without): i for i in range(256)}
     words = "; other ids and modes give the same checksum, so check the id in the data sheet"
     common = _common(added)
     if common in ids:
         return (
-            e2e_profile_1(size, ids[common], "low", *places),
+            e2e_profile_1(size, ids[common], "low", offset),
             {"kind": "e2e_p1", "data_id": ids[common], "data_id_mode": "low"},
             words,
         )
@@ -182,7 +180,7 @@ def _profile_1(size: int, offset: int, data: Columns) -> Found:
     if even in ids and odd in ids:
         data_id = ids[even] | ids[odd] << 8
         return (
-            e2e_profile_1(size, data_id, "alternating", *places),
+            e2e_profile_1(size, data_id, "alternating", offset),
             {"kind": "e2e_p1", "data_id": data_id, "data_id_mode": "alternating"},
             "",
         )
@@ -190,44 +188,42 @@ def _profile_1(size: int, offset: int, data: Columns) -> Found:
 
 
 def _profile_2(size: int, offset: int, data: Columns) -> Found:
-    bit = 8 * offset
-    counter = _header_counter(2, bit, data)
+    counter = _header_counter(2, offset, data)
     if counter is None:
         return None
-    without = e2e_profile_2(size, [0] * 16, bit)
+    without = e2e_profile_2(size, [0] * 16, offset)
     added = _added(without, data)
-    ids = {_difference(e2e_profile_2(size, [i] * 16, bit), without): i for i in range(256)}
+    ids = {_difference(e2e_profile_2(size, [i] * 16, offset), without): i for i in range(256)}
     commons = [_common(added[counter == value]) for value in range(16)]
     if not all(c in ids for c in commons):
         return None
     data_ids = [ids[c] for c in commons if c is not None]
-    return e2e_profile_2(size, data_ids, bit), {"kind": "e2e_p2", "data_id": data_ids}, ""
+    return e2e_profile_2(size, data_ids, offset), {"kind": "e2e_p2", "data_id": data_ids}, ""
 
 
 def _profile_5(size: int, offset: int, data: Columns) -> Found:
-    bit = 8 * offset
-    if _header_counter(5, bit, data) is None:
+    if _header_counter(5, offset, data) is None:
         return None
-    without = e2e_profile_5(size, 0, bit)
+    without = e2e_profile_5(size, 0, offset)
     common = _common(_added(without, data))
     if common is None:
         return None
     made = np.zeros(1, np.uint16)
     for power in range(16):  # the contribution of an id is the sum over its bits
-        one = _difference(e2e_profile_5(size, 1 << power, bit), without)
+        one = _difference(e2e_profile_5(size, 1 << power, offset), without)
         made = np.concatenate([made, made ^ np.uint16(one)])
     fitting = np.flatnonzero(made == common)
     if len(fitting) != 1:
         return None
     data_id = int(fitting[0])
-    return e2e_profile_5(size, data_id, bit), {"kind": "e2e_p5", "data_id": data_id}, ""
+    return e2e_profile_5(size, data_id, offset), {"kind": "e2e_p5", "data_id": data_id}, ""
 
 
-def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] | None:
-    """Return the counter (N,) of an E2E header that begins at this bit of the frame; None if it
+def _header_counter(profile: int, offset: int, data: Columns) -> NDArray[np.int64] | None:
+    """Return the counter (N,) of an E2E header that begins at this byte of the frame; None if it
     does not count up."""
     header = E2E_COUNTERS[profile]
-    field = Field(bit + header.bit, header.length, "little_endian")
+    field = Field(8 * offset + header.bit, header.length, "little_endian")
     if field.end_byte > data.shape[1]:
         return None
     values = read_column(words_of(data, "little_endian"), field).astype(np.int64)

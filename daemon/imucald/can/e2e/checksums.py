@@ -97,19 +97,14 @@ class ChecksumKind(Struct, frozen=True):
     in_signal: SignalChecksum | None = None
 
 
-def xor_checksum(size: int, position: int, id_bytes: bytes = b"", start: int = 0) -> ChecksumSpec:
-    """XOR of all other bytes, the identifier bytes and a start value."""
-    return ChecksumSpec(size, position, start=start, prefixes=(id_bytes,))
+def xor_checksum(size: int, position: int, id_bytes: bytes = b"") -> ChecksumSpec:
+    """XOR of all other bytes and the identifier bytes."""
+    return ChecksumSpec(size, position, prefixes=(id_bytes,))
 
 
-def crc8_j1850(
-    size: int, position: int, id_bytes: bytes = b"", id_bytes_last: bool = False
-) -> ChecksumSpec:
+def crc8_j1850(size: int, position: int, id_bytes: bytes = b"") -> ChecksumSpec:
     """CRC-8 SAE J1850 (0x1D, start 0xFF, inverted) over identifier bytes and all other bytes."""
-    first, last = (b"", id_bytes) if id_bytes_last else (id_bytes, b"")
-    return ChecksumSpec(
-        size, position, 1, J1850_POLYNOMIAL, 0xFF, 0xFF, prefixes=(first,), suffixes=(last,)
-    )
+    return ChecksumSpec(size, position, 1, J1850_POLYNOMIAL, 0xFF, 0xFF, prefixes=(id_bytes,))
 
 
 def crc16_ccitt(size: int, position: int, id_bytes: bytes = b"") -> ChecksumSpec:
@@ -118,17 +113,12 @@ def crc16_ccitt(size: int, position: int, id_bytes: bytes = b"") -> ChecksumSpec
 
 
 def e2e_profile_1(
-    size: int,
-    data_id: int,
-    mode: DataIdMode = "both",
-    crc_bit: int = 0,
-    counter_bit: int = 8,
-    nibble_bit: int = 12,
+    size: int, data_id: int, mode: DataIdMode = "both", offset: int = 0
 ) -> ChecksumSpec:
     """E2E profile 1 (variant 1A: mode both; 1B: alternating; 1C: nibble) [PRS_E2E_00195...].
 
-    Offsets are in bits as in AUTOSAR. `crc_bit` is a multiple of 8; `counter_bit` and `nibble_bit`
-    are multiples of 4.
+    The CRC is the first byte of the header; the counter is the low nibble of the second byte, and
+    mode nibble uses its high nibble. offset: first byte of the header.
     """
     low, high = _id_bytes(data_id)
     prefixes: tuple[bytes, ...]
@@ -144,16 +134,16 @@ def e2e_profile_1(
         raise ConfigError(f"{mode!r} is not a data id mode of E2E profile 1")
     return ChecksumSpec(
         size,
-        _byte_of(crc_bit),
+        offset,
         1,
         J1850_POLYNOMIAL,
         prefixes=prefixes,
-        counter=_nibble(counter_bit),
-        fixed=(_nibble(nibble_bit), high & 0xF) if mode == "nibble" else None,
+        counter=_nibble(8 * offset + 8),
+        fixed=(_nibble(8 * offset + 12), high & 0xF) if mode == "nibble" else None,
     )
 
 
-def e2e_profile_2(size: int, data_ids: Sequence[int], crc_bit: int = 0) -> ChecksumSpec:
+def e2e_profile_2(size: int, data_ids: Sequence[int], offset: int = 0) -> ChecksumSpec:
     """E2E profile 2: CRC-8H2F. The counter is the low nibble of the byte after the CRC. The counter
     selects the data id that is the last input of the CRC."""
     if len(data_ids) != E2E_COUNTER_VALUES:
@@ -164,35 +154,30 @@ def e2e_profile_2(size: int, data_ids: Sequence[int], crc_bit: int = 0) -> Check
         raise ConfigError("a data id of E2E profile 2 must be one byte")
     return ChecksumSpec(
         size,
-        _byte_of(crc_bit),
+        offset,
         1,
         H2F_POLYNOMIAL,
         0xFF,
         0xFF,
         suffixes=tuple(bytes([i]) for i in data_ids),
-        counter=_nibble(crc_bit + 8),
+        counter=_nibble(8 * offset + 8),
     )
 
 
-def e2e_profile_5(size: int, data_id: int, offset_bit: int = 0) -> ChecksumSpec:
+def e2e_profile_5(size: int, data_id: int, offset: int = 0) -> ChecksumSpec:
     """E2E profile 5: CRC-16 (low byte first); the counter is the byte after the CRC."""
     suffix = bytes(_id_bytes(data_id))
-    return ChecksumSpec(size, _byte_of(offset_bit), 2, CCITT_POLYNOMIAL, 0xFFFF, suffixes=(suffix,))
+    return ChecksumSpec(size, offset, 2, CCITT_POLYNOMIAL, 0xFFFF, suffixes=(suffix,))
 
 
 def e2e_profile_11(
-    size: int,
-    data_id: int,
-    mode: DataIdMode = "nibble",
-    crc_bit: int = 0,
-    counter_bit: int = 8,
-    nibble_bit: int = 12,
+    size: int, data_id: int, mode: DataIdMode = "nibble", offset: int = 0
 ) -> ChecksumSpec:
     """E2E profile 11 (variant 11A: mode both; 11C: nibble). Profile 11 is profile 1 with only two
     modes."""
     if mode not in ("both", "nibble"):
         raise ConfigError(f"{mode!r} is not a data id mode of E2E profile 11")
-    return e2e_profile_1(size, data_id, mode, crc_bit, counter_bit, nibble_bit)
+    return e2e_profile_1(size, data_id, mode, offset)
 
 
 def in_signal(function: SignalChecksum) -> ChecksumKind:
@@ -213,28 +198,6 @@ def in_signal(function: SignalChecksum) -> ChecksumKind:
     return ChecksumKind(made, in_signal=function)
 
 
-def _p1(message: Message, options: ChecksumOptions) -> ChecksumSpec:
-    bit = 8 * options.offset
-    mode = options.data_id_mode
-    return e2e_profile_1(message.length, _one_id(options), mode, bit, bit + 8, bit + 12)
-
-
-def _p2(message: Message, options: ChecksumOptions) -> ChecksumSpec:
-    if not isinstance(options.data_id, tuple):
-        raise ConfigError("needs 'data_id:', a list of sixteen numbers")
-    return e2e_profile_2(message.length, options.data_id, 8 * options.offset)
-
-
-def _p5(message: Message, options: ChecksumOptions) -> ChecksumSpec:
-    return e2e_profile_5(message.length, _one_id(options), 8 * options.offset)
-
-
-def _p11(message: Message, options: ChecksumOptions) -> ChecksumSpec:
-    bit = 8 * options.offset
-    mode = options.data_id_mode
-    return e2e_profile_11(message.length, _one_id(options), mode, bit, bit + 8, bit + 12)
-
-
 E2E_COUNTERS: Mapping[int, HeaderCounter] = {
     1: HeaderCounter(8, 4, 15),
     2: HeaderCounter(8, 4, 16),
@@ -247,10 +210,19 @@ KINDS: dict[str, ChecksumKind] = {
     "xor": in_signal(xor_checksum),
     "crc8_j1850": in_signal(crc8_j1850),
     "crc16_ccitt": in_signal(crc16_ccitt),
-    "e2e_p1": ChecksumKind(_p1, E2E_COUNTERS[1]),
-    "e2e_p2": ChecksumKind(_p2, E2E_COUNTERS[2]),
-    "e2e_p5": ChecksumKind(_p5, E2E_COUNTERS[5]),
-    "e2e_p11": ChecksumKind(_p11, E2E_COUNTERS[11]),
+    "e2e_p1": ChecksumKind(
+        lambda m, o: e2e_profile_1(m.length, _one_id(o), o.data_id_mode, o.offset), E2E_COUNTERS[1]
+    ),
+    "e2e_p2": ChecksumKind(
+        lambda m, o: e2e_profile_2(m.length, _sixteen_ids(o), o.offset), E2E_COUNTERS[2]
+    ),
+    "e2e_p5": ChecksumKind(
+        lambda m, o: e2e_profile_5(m.length, _one_id(o), o.offset), E2E_COUNTERS[5]
+    ),
+    "e2e_p11": ChecksumKind(
+        lambda m, o: e2e_profile_11(m.length, _one_id(o), o.data_id_mode, o.offset),
+        E2E_COUNTERS[11],
+    ),
 }
 """Kinds by their name in configurations."""
 
@@ -271,23 +243,18 @@ def _one_id(options: ChecksumOptions) -> int:
     return options.data_id
 
 
+def _sixteen_ids(options: ChecksumOptions) -> tuple[int, ...]:
+    if not isinstance(options.data_id, tuple):
+        raise ConfigError("needs 'data_id:', a list of sixteen numbers")
+    return options.data_id
+
+
 def _id_bytes(data_id: int) -> tuple[int, int]:
     if not 0 <= data_id <= 0xFFFF:
         raise ConfigError(f"data id {data_id} is not between 0 and 65535")
     return data_id & 0xFF, data_id >> 8
 
 
-def _byte_of(bit: int) -> int:
-    if bit < 0 or bit % 8:
-        raise ConfigError(f"a checksum must start at a byte, not at bit {bit}")
-    return bit // 8
-
-
 def _nibble(bit: int) -> Field:
-    """Return the nibble at an AUTOSAR bit offset (a multiple of 4, low nibble first)."""
-    if bit < 0 or bit % 4:
-        raise ConfigError(
-            "the counter and the data id nibble must start at a multiple of 4 "
-            f"bits, not at bit {bit}"
-        )
+    """Return the nibble at an AUTOSAR bit offset (low nibble first)."""
     return Field(bit, 4, "little_endian")
