@@ -72,19 +72,6 @@ class SenderChoice:
             )
         return self._address is None or address == self._address
 
-    def choosing(self, frames: FrameColumns, rows: Rows, t: NDArray[np.float64]) -> tuple[int, int]:
-        """Return the range of the frames (N,) that are used for the choice: index of the first
-        frame, and index after the last frame."""
-        end, first = self._end, 0
-        if math.isinf(end):
-            length = np.arange(frames.data.shape[1]) < frames.length[rows][:, None]
-            says = ((frames.data[rows] != NOT_AVAILABLE) & length).any(axis=1)
-            if not says.any():
-                return len(rows), len(rows)
-            first = int(np.argmax(says))
-            end = float(t[first]) + SENDER_SETTLING
-        return first, int(t.searchsorted(end, side="right"))
-
 
 class Asked(Struct, frozen=True, eq=False):
     """Frames of one message in a chunk: their rows (N,) and times (N,)."""
@@ -105,17 +92,14 @@ def taken(frames: FrameColumns, asked: Sequence[Asked]) -> list[Flags]:
     """Apply `SenderChoice.takes` to the frames of all messages, in the order of their rows."""
     flags = [np.ones(len(one.rows), dtype=bool) for one in asked]
     events: list[tuple[int, int, int]] = []
-    stops = []
     for k, one in enumerate(asked):
-        first, stop = one.choice.choosing(frames, one.rows, one.t)
-        events += [(int(one.rows[i]), k, i) for i in range(first, stop)]
-        stops.append(stop)
+        if not one.choice.is_settled(float(one.t[0])):
+            events += [(row, k, i) for i, row in enumerate(one.rows.tolist())]
+        elif one.choice.address is not None:
+            address = frames.can_id.take(one.rows) & np.uint32(J1939_ADDRESS_MASK)
+            flags[k] = address == one.choice.address
     for row, k, i in sorted(events):
         data = frames.data[row, : int(frames.length[row])].tobytes()
         t, can_id = float(asked[k].t[i]), int(frames.can_id[row])
         flags[k][i] = asked[k].choice.takes(t, can_id, data)
-    for one, flag, stop in zip(asked, flags, stops, strict=True):
-        if one.choice.address is not None:
-            address = frames.can_id.take(one.rows[stop:]) & np.uint32(J1939_ADDRESS_MASK)
-            flag[stop:] = address == one.choice.address
     return flags
