@@ -86,54 +86,29 @@ typedef struct {
     const uint8_t *suffixes;
 } Crc;
 
-enum { TOGETHER = 4 };
-
 /* Values of a counter, so that no sum of lost frames leaves 64 bits. */
 #define MOST_VALUES ((int64_t)1 << 32)
 
-/* One byte more of each frame's checksum: of 8 bits, and of 16. */
-#define FEED_8(i) crc[i] = c->table[crc[i] ^ p[i][k]]
-#define FEED_16(i) crc[i] = (crc[i] << 8 & 0xFF00u) ^ c->table[crc[i] >> 8 ^ p[i][k]]
-
-static inline void feed(const Crc *c, unsigned *crc, const uint8_t *const *p, Size from, Size to)
+static unsigned fed(const Crc *c, unsigned crc, const uint8_t *p, Size count)
 {
-    if (c->width == 1)
-        for (Size k = from; k < to; k++) {
-            FEED_8(0);
-            FEED_8(1);
-            FEED_8(2);
-            FEED_8(3);
-        }
-    else
-        for (Size k = from; k < to; k++) {
-            FEED_16(0);
-            FEED_16(1);
-            FEED_16(2);
-            FEED_16(3);
-        }
+    for (Size k = 0; k < count; k++)
+        crc = c->width == 1 ? c->table[crc ^ p[k]]
+                            : (crc << 8 & 0xFF00u) ^ c->table[crc >> 8 ^ p[k]];
+    return crc;
 }
 
-/* Whether frames are right; some at once, as each byte of a frame waits for the one before. */
-static void are_right(const Crc *c, const uint8_t *const *rows, uint8_t *right)
+static int is_right(const Crc *c, const uint8_t *row)
 {
-    unsigned crc[TOGETHER];
-    const uint8_t *last[TOGETHER];
-    for (int i = 0; i < TOGETHER; i++) {
-        Size which = c->index.length ? (Size)bits_of(rows[i], c->index) : 0;
-        crc[i] = c->starts[which];
-        last[i] = c->suffixes + which * c->suffix;
-    }
-    feed(c, crc, rows, 0, c->position);
-    feed(c, crc, rows, c->position + c->width, c->bytes);
-    feed(c, crc, last, 0, c->suffix);
-    for (int i = 0; i < TOGETHER; i++) {
-        const uint8_t *own = rows[i] + c->position;
-        unsigned stored = own[0];
-        if (c->width == 2)
-            stored = c->is_big ? stored << 8 | own[1] : stored | (unsigned)own[1] << 8;
-        right[i] = stored == (crc[i] ^ c->final) &&
-                   (!c->fixed.length || bits_of(rows[i], c->fixed) == c->fixed_value);
-    }
+    Size which = c->index.length ? (Size)bits_of(row, c->index) : 0, end = c->position + c->width;
+    unsigned crc = fed(c, c->starts[which], row, c->position);
+    crc = fed(c, crc, row + end, c->bytes - end);
+    crc = fed(c, crc, c->suffixes + which * c->suffix, c->suffix);
+    const uint8_t *own = row + c->position;
+    unsigned stored = own[0];
+    if (c->width == 2)
+        stored = c->is_big ? stored << 8 | own[1] : stored | (unsigned)own[1] << 8;
+    return stored == (crc ^ c->final) &&
+           (!c->fixed.length || bits_of(row, c->fixed) == c->fixed_value);
 }
 
 static void learn(int64_t *state, double *time, double t)
@@ -322,21 +297,14 @@ KERNEL long judge_frames(PyObject *t_, PyObject *data_, PyObject *length_, PyObj
         good = starts[k] < TABLE;
     if (!good)
         return leave(&a, refuse(&a, "numbers beyond the arrays of judge_frames"));
-    uint8_t right[TOGETHER] = {1, 1, 1, 1};
     for (Size i = 0; i < n; i++) {
         const uint8_t *row = data + i * width;
         uint8_t code = OK;
-        if (crc && width >= size && i % TOGETHER == 0) {
-            const uint8_t *rows[TOGETHER];
-            for (Size k = 0; k < TOGETHER; k++)
-                rows[k] = data + (i + k < n ? i + k : i) * width;
-            are_right(&checksum, rows, right);
-        }
         if (length[i] < size || width < size)
             code = SHORT;
         else if (length[i] > spec[LONGEST] || length[i] > width)
             code = LONG;
-        else if (!right[i % TOGETHER])
+        else if (crc && !is_right(&checksum, row))
             code = CHECKSUM;
         else {
             int64_t value = -1;
