@@ -73,11 +73,9 @@ def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> Frame
     request = frames.t[order]
     duration = _durations(frames, bitrate)[order]
     priority = _priority(frames.can_id)[order]
-    end = _ends(request, duration, busy_until)
-    won = _in_order_of_priority(request, duration, priority, end)
-    order = order[won]
+    won = _served(request.tolist(), duration.tolist(), priority.tolist(), busy_until)
     end = _ends(request[won], duration[won], busy_until)
-    sent = frames.take(order)
+    sent = frames.take(order[won])
     return FrameColumns(
         end, sent.can_id, sent.length, sent.data, sent.channel, sent.channels, sent.fd
     )
@@ -92,57 +90,23 @@ def _ends(request: Array, duration: Array, busy_until: float) -> Array:
     return ends
 
 
-def _in_order_of_priority(
-    request: Array, duration: Array, priority: NDArray[np.int64], end: Array
-) -> NDArray[np.intp]:
-    """Return the indices (N,) of the frames in the order of sending. end: ends of the frames if
-    they were sent in the order of their requests."""
-    result = np.arange(len(request))
-    starts = (end - duration).tolist()
-    waits, lengths, ranks = request.tolist(), duration.tolist(), priority.tolist()
-    for first, stop in _contested(request, duration, priority, end):
-        result[first:stop] = _served(waits, lengths, ranks, first, stop, starts[first])
-    return result
-
-
-def _contested(
-    request: Array, duration: Array, priority: NDArray[np.int64], end: Array
-) -> list[tuple[int, int]]:
-    """Return the busy periods in which priority changes the order, as ranges of frames.
-
-    The order changes if and only if the directly following frame was already waiting and has a
-    higher priority. This test of neighbouring frames also finds busy periods in which only later
-    frames have a higher priority.
-    """
-    if len(request) < 2:
-        return []
-    start = end - duration
-    begins = np.concatenate(([0], np.flatnonzero(request[1:] > end[:-1]) + 1, [len(request)]))
-    passed = (request[1:] <= start[:-1]) & (priority[1:] < priority[:-1])
-    periods = np.unique(np.searchsorted(begins, np.flatnonzero(passed), side="right") - 1)
-    return list(zip(begins[periods].tolist(), begins[periods + 1].tolist(), strict=True))
-
-
 def _served(
-    request: list[float],
-    duration: list[float],
-    priority: list[int],
-    first: int,
-    stop: int,
-    start: float,
-) -> list[int]:
-    """Return the order of the frames [first, stop) in a busy period that begins at `start` [s]."""
+    request: list[float], duration: list[float], priority: list[int], now: float
+) -> NDArray[np.intp]:
+    """Return the indices (N,) of the frames in the order of sending, from the time `now` [s] on."""
     waiting: list[tuple[int, int]] = []
     served: list[int] = []
-    now, coming = start, first
-    while len(served) < stop - first:
-        while coming < stop and (not waiting or request[coming] <= now):
+    coming = 0
+    while len(served) < len(request):
+        if not waiting:
+            now = max(now, request[coming])
+        while coming < len(request) and request[coming] <= now:
             heapq.heappush(waiting, (priority[coming], coming))
             coming += 1
         chosen = heapq.heappop(waiting)[1]
         served.append(chosen)
         now += duration[chosen]
-    return served
+    return np.array(served, np.intp)
 
 
 def _durations(frames: FrameColumns, bitrate: float) -> Array:
