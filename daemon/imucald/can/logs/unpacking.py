@@ -86,24 +86,10 @@ def _bzip2() -> Member:
     return bz2.BZ2Decompressor()
 
 
-class _Xz(_Inner):
-    """An xz member. Errors of the library are converted to ValueError."""
+def _xz() -> Member:
+    import lzma  # noqa: PLC0415 - few logs need it
 
-    def __init__(self) -> None:
-        import lzma  # noqa: PLC0415 - few logs need it
-
-        self._error = lzma.LZMAError
-        self._inner = lzma.LZMADecompressor()
-
-    @property
-    def needs_input(self) -> bool:
-        return bool(self._inner.needs_input)
-
-    def decompress(self, data: bytes, max_length: int, /) -> bytes:
-        try:
-            return bytes(self._inner.decompress(data, max_length))
-        except self._error as error:
-            raise ValueError(str(error)) from None
+    return lzma.LZMADecompressor()
 
 
 class _Zstd(_Inner):
@@ -116,7 +102,6 @@ class _Zstd(_Inner):
         except ImportError:
             text = f"Zstandard (.zst): needs the package zstandard: {how_to_install('logs')}"
             raise LogError(text) from None
-        self._error = zstandard.ZstdError
         self._inner = zstandard.ZstdDecompressor().decompressobj()
         self._made = self._given = b""
 
@@ -136,17 +121,14 @@ class _Zstd(_Inner):
         self._given += data
         while self._given and not self._made and not super().eof:
             piece, self._given = self._given[:_ZSTD_PIECE], self._given[_ZSTD_PIECE:]
-            try:
-                self._made = self._inner.decompress(piece)
-            except self._error as error:
-                raise ValueError(str(error)) from None
+            self._made = self._inner.decompress(piece)
         given, self._made = self._made[:max_length], self._made[max_length:]
         return given
 
 
 _MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
     b"\x1f\x8b": _Zlib,
-    b"\xfd7zXZ\0": _Xz,
+    b"\xfd7zXZ\0": _xz,
     b"BZh": _bzip2,
     b"\x28\xb5\x2f\xfd": _Zstd,
 }
@@ -206,6 +188,16 @@ def unpacks_to_too_much(file: Any, size: int) -> bool:
     return made > FREE_BYTES
 
 
+def _decompressed(member: Member, data: bytes, most: int) -> bytes:
+    """Return at most so many unpacked bytes. Raises one of DAMAGE for damaged data."""
+    try:
+        return member.decompress(data, most)
+    except (*DAMAGE, MemoryError):
+        raise
+    except Exception as error:  # lzma and zstandard have errors of their own
+        raise ValueError(str(error)) from None
+
+
 def packed_as(head: bytes) -> Callable[[], Member] | None:
     """Return the decompressor for a file with these first bytes; None if not compressed."""
     return next((m for magic, m in _MEMBERS.items() if head.startswith(magic)), None)
@@ -247,7 +239,7 @@ class Unpacked:
                 if not self._input:
                     raise EOFError("the compressed file is cut")
             given, self._input = self._input, b""
-            text = self._member.decompress(given, len(view))
+            text = _decompressed(self._member, given, len(view))
             if text:
                 view[: len(text)] = text
                 self._plain_bytes += len(text)
@@ -294,7 +286,7 @@ def first_bytes(head: bytes, count: int) -> bytes:
     if member is None:
         return head[:count]
     try:
-        return member().decompress(head, count)
+        return _decompressed(member(), head, count)
     except DAMAGE:
         return b""
 
