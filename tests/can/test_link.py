@@ -221,7 +221,7 @@ class Faulty:
             raise OSError(next_one, "told so")
         return list(next_one)
 
-    def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
+    def send(self, can_id: int, data: bytes) -> None:
         if self.send_error is not None:
             raise OSError(self.send_error, "told so")
         self.taken.append((self.now, can_id, data))
@@ -412,7 +412,7 @@ def test_a_queue_that_stays_full_costs_frames_not_time(faulty_link: Any) -> None
 
 def test_a_frame_behind_held_ones_does_not_overtake_them() -> None:
     port, sent = Faulty(), []
-    outbox = Outbox(True, port.clock, lambda: sent.append(1), lambda: None)
+    outbox = Outbox(port.clock, lambda: sent.append(1), lambda: None)
     port.send_error = errno.EAGAIN
     outbox.send(port, 1, b"")
     port.send_error = None

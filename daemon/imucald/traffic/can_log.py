@@ -103,20 +103,19 @@ def play(
     speed: float = 1.0,
     with_background: bool = False,
     progress: Progress | None = None,
-    clock: Callable[[], float] = time.monotonic,
 ) -> int:
     """Send the frames of a drive at their times, `speed` times as fast. Return the number of
     accepted frames.
 
     speed: 1 means real time. A frame that the bus does not accept is lost, as on a real bus.
     """
-    began = clock()
+    began = time.monotonic()
     accepted, reported = 0, 0.0
     for t, can_id, data in live_frames(drive, encoder, with_background):
-        wait = began + t / speed - clock()
+        wait = began + t / speed - time.monotonic()
         while wait > 0.0005:  # shorter sleeps are not reliable
             link.receive(wait)
-            wait = began + t / speed - clock()
+            wait = began + t / speed - time.monotonic()
         accepted += link.send(can_id, data)
         if progress is not None and t - reported > 0.5:
             progress(t)

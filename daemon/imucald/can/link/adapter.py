@@ -104,9 +104,7 @@ class Adapter:
         fd: bool = False,
         bitrate: int | None = None,
         options: Mapping[str, Any] | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._clock = clock
         self._failures = 0  # failures of the driver since it last worked
         self._failing_since = 0.0
         self._reason = ""
@@ -190,7 +188,7 @@ class Adapter:
 
     def _has_gone(self, error: Exception) -> bool:
         """Register a failure of the driver. Return whether it has failed for too long."""
-        now = self._clock()
+        now = time.monotonic()
         if not self._failures:
             self._failing_since = now
         self._failures += 1
@@ -216,7 +214,7 @@ class Adapter:
         echoes = self._echoes
         return None if echoes is not None and echoes.is_own(frame[1], frame[2]) else frame
 
-    def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
+    def send(self, can_id: int, data: bytes) -> None:
         """Send one frame, as CAN FD when it is longer than 8 bytes.
 
         Raises OSError EIO if the adapter does not accept the frame, for any reason. `receive`
@@ -228,7 +226,7 @@ class Adapter:
             is_extended_id=bool(can_id & CAN_EFF_FLAG),
             data=data,
             is_fd=fd,
-            bitrate_switch=fd and bitrate_switch,
+            bitrate_switch=fd,
         )
         try:
             # the transmit queue may be full

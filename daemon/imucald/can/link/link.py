@@ -172,7 +172,7 @@ class Link:
     interface, channel: the names of python-can ("socketcan", "can0").
     receive: filters of the wanted ids; filters for other channels are ignored.
     own_ids: ids that we send (with `CAN_EFF_FLAG` for 29 bits); other senders of them are reported.
-    fd: receive and send CAN FD frames too. bitrate_switch: send their payload at the data rate.
+    fd: receive and send CAN FD frames too, with their payload at the data rate.
     bitrate, options: passed to python-can; for SocketCAN, `ip link` sets the bit rate.
     receive_buffer: requested from the kernel [bytes]. wait: if True, a missing interface is not an
     error. on_event: called with each `LinkEvent`. clock: monotonic [s].
@@ -189,7 +189,6 @@ class Link:
         receive: Sequence[IdMatch],
         own_ids: Iterable[int] = (),
         fd: bool = False,
-        bitrate_switch: bool = True,
         bitrate: int | None = None,
         options: Mapping[str, Any] | None = None,
         receive_buffer: int = RECEIVE_BUFFER,
@@ -217,7 +216,7 @@ class Link:
         self._lost_before = 0  # losses of earlier sockets
         self._rejected_before = 0
         self._id_filter = LinkIdFilter(receive, own_ids, channel)
-        self._outbox = Outbox(bitrate_switch, clock, self._frame_sent, self._queue_full)
+        self._outbox = Outbox(clock, self._frame_sent, self._queue_full)
         self._pause = MIN_RETRY
         self._next_try = self._next_check = -math.inf
         self._open(required=not wait)

@@ -38,7 +38,7 @@ class Port(Protocol):
     def close(self) -> None:
         """Close the interface."""
 
-    def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
+    def send(self, can_id: int, data: bytes) -> None:
         """Send one frame. ENOBUFS or EAGAIN mean that the queue is full."""
 
     def receive(self, timeout: float) -> list[Frame]:
@@ -81,12 +81,10 @@ class Outbox:
 
     def __init__(
         self,
-        bitrate_switch: bool,
         clock: Callable[[], float],
         on_sent: Callable[[], None],
         on_dropped: Callable[[], None],
     ) -> None:
-        self._bitrate_switch = bitrate_switch
         self._clock = clock
         self._on_sent = on_sent
         self._on_dropped = on_dropped
@@ -124,7 +122,7 @@ class Outbox:
 
     def _taken(self, port: Port, can_id: int, data: bytes) -> bool:
         try:
-            port.send(can_id, data, self._bitrate_switch)
+            port.send(can_id, data)
         except OSError as error:
             if error.errno in _FULL:
                 return False

@@ -194,7 +194,7 @@ class SocketCan:
             memory = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
             self._count_drops(_MEMINFO.unpack(memory)[-1])
 
-    def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
+    def send(self, can_id: int, data: bytes) -> None:
         """Pass one frame to the kernel, as CAN FD if it is longer than 8 bytes.
 
         Raises OSError: ENOBUFS or EAGAIN if the transmit queue is full, ENETDOWN, ENODEV, ENXIO.
@@ -203,8 +203,7 @@ class SocketCan:
             self._socket.send(_CLASSIC.pack(can_id, len(data), data))
             return
         length = next(size for size in FD_LENGTHS if size >= len(data))
-        flags = CANFD_FDF | (CANFD_BRS if bitrate_switch else 0)
-        self._socket.send(_FD.pack(can_id, length, flags, data))
+        self._socket.send(_FD.pack(can_id, length, CANFD_FDF | CANFD_BRS, data))
 
     def is_same_interface(self) -> bool:
         """True if the interface of our socket is still the one with this name."""

@@ -45,11 +45,10 @@ class CandumpWriter:
     fill a full disk.
     """
 
-    def __init__(self, path: Path | str, fd_flags: int = CANFD_BRS) -> None:
-        """Open the file. fd_flags: digit for CAN FD frames (1: bit rate switch, 2: error state)."""
+    def __init__(self, path: Path | str) -> None:
+        """Open the file."""
         self.frames_written = 0
         self._name = str(path)
-        self._fd_flags = fd_flags & 0xF
         self._made: os.stat_result | None = None
         try:
             self._file = _open(self._name)
@@ -62,7 +61,7 @@ class CandumpWriter:
         """Write frames in order. If `fd` is None, frames longer than 8 bytes are CAN FD."""
         for start in range(0, len(frames), ROWS):
             part = frames.take(slice(start, start + ROWS))
-            self._put(_formatted(part, self._fd_flags, self._name), len(part))
+            self._put(_formatted(part, self._name), len(part))
 
     def flush(self) -> None:
         """Pass all data written so far to the operating system."""
@@ -120,7 +119,7 @@ def _open(name: str) -> BufferedIOBase:
     return Path(name).open("wb")
 
 
-def _formatted(frames: FrameColumns, fd_flags: int, name: str) -> bytes:
+def _formatted(frames: FrameColumns, name: str) -> bytes:
     length = frames.length.astype(np.intp)
     fd = length > CLASSIC_BYTES if frames.fd is None else frames.fd
     good = (frames.t >= 0) & (frames.t < MAX_SECONDS)
@@ -138,7 +137,7 @@ def _formatted(frames: FrameColumns, fd_flags: int, name: str) -> bytes:
     ids = _hex((frames.can_id & np.uint32(CAN_EFF_MASK)).astype(">u4")[:, None].view(np.uint8))
     ids[~extended, :-3] = 0
     channels = _table([_channel(channel).encode("ascii") for channel in frames.channels])
-    marks = _table([b"#", b"##%X" % fd_flags])
+    marks = _table([b"#", b"##%X" % CANFD_BRS])
     data = _hex(frames.data[:, : length.max(initial=0)])
     data[np.arange(data.shape[1]) >= 2 * length[:, None]] = 0
     columns = (
