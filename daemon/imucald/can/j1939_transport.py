@@ -13,8 +13,6 @@ from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, IdMatch
 
 ANNOUNCEMENT = IdMatch(CAN_EFF_FLAG | 0xEC_0000, 0x03FF_0000)
 """Frames that announce a message or answer an announcement, to any address."""
-_REQUEST_TO_SEND, _TO_ALL = 16, 32
-"""The first byte of the two kinds of announcements."""
 
 
 def announced_messages(
@@ -30,7 +28,7 @@ def announced_messages(
     if not here.any():
         return {}
     bytes_, sender = data[here].astype(np.uint32), can_id[here] & np.uint32(0xFF)
-    is_first = np.isin(bytes_[:, 0], (_REQUEST_TO_SEND, _TO_ALL))
+    is_first = np.isin(bytes_[:, 0], (16, 32))  # request to send, to all units
     pgn = bytes_[:, 5] | bytes_[:, 6] << 8 | (bytes_[:, 7] & 3) << 16
     ids = (pgn << 8 | sender | np.uint32(CAN_EFF_FLAG))[is_first]
     sizes = (bytes_[:, 1] | bytes_[:, 2] << 8)[is_first]

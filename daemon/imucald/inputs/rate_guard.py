@@ -31,7 +31,6 @@ TWO_SENDERS = 1.6
 """If the rate is this multiple of the usual rate for three seconds, there are two senders. No clock
 of a sender is wrong by this factor."""
 SECONDS = 3
-NO_LIMIT = 1e9
 FAULTY_COUNTERS = 0.05
 """Smallest share of counter faults that also shows two senders, because their counters interleave.
 If the other sender sends sixteen frames for each of ours, one frame in seventeen has a fault."""
@@ -121,7 +120,7 @@ class RateGuard:
 
     def _limit(self) -> float:
         if math.isinf(self._usual):
-            return NO_LIMIT
+            return 1e9
         least = LEAST_STATED if self._stated else LEAST_LEARNT
         held_back = SECONDS * self._usual - sum(seen for seen, _ in self._before)
         return max(TIMES_USUAL * self._usual, least) + max(0.0, math.floor(held_back))

@@ -72,13 +72,12 @@ def _parts(dimension: tuple[tuple[str, int], ...], sizes: Mapping[str, float]) -
 
 _LENGTH, _TIME, _ANGLE = (("length", 1),), (("time", 1),), (("angle", 1),)
 _SPEED = (("length", 1), ("time", -1))
-_MINUTE, _HOUR = 60.0, 3600.0
 _WORDS: Mapping[str, _Part] = {
     **_parts(_LENGTH, {"m meter metre": 1.0, "km kms": 1e3, "cm": 1e-2, "mm": 1e-3}),
     **_parts(_LENGTH, {"mile mi": 1609.344}),
     **_parts(_LENGTH, {"foot feet ft": 0.3048, "yard yd": 0.9144, "inch inches": 0.0254}),
     **_parts(_TIME, {"s sec second sek sekunde": 1.0, "ms msec": 1e-3, "us usec": 1e-6}),
-    **_parts(_TIME, {"min minute": _MINUTE, "h hr hrs hour std stunde heure hora ora uur": _HOUR}),
+    **_parts(_TIME, {"min minute": 60.0, "h hr hrs hour std stunde heure hora ora uur": 3600.0}),
     **_parts(_ANGLE, {"rad rads radian radiant": 1.0, "mrad": 1e-3, "mdeg": 1e-3 * RAD_PER_DEG}),
     **_parts(_ANGLE, {"deg degree grad °": RAD_PER_DEG, "arcsecond": RAD_PER_DEG / 3600.0}),
     **_parts(_SPEED, {"mps": 1.0, "kph kmh kmph": 1.0 / 3.6, "mph": 0.44704}),

@@ -27,7 +27,6 @@ _TEXT = re.compile(r'"(?:\\.|[^"\\])*+("?)')
 _MESSAGE = re.compile(r"BO_\s+(\S+)\s+([^\s:]*)\s*:\s*(\d*)")
 _SIGNAL = re.compile(r"SG_\s+([^\s:]+)(?:[ \t]+(M|m\d+M?)\b)?")
 _UNREADABLE = "this line cannot be read as DBC; write it like the lines around it"
-_NO_MULTIPLEXER = "is not used, since the line of its multiplexer cannot be read; correct that line"
 _DECISIVE = frozenset({"SIG_VALTYPE_", "SG_MUL_VAL_"})
 """Keywords of statements that must not be removed, because a signal would be decoded wrongly
 without them. A database is refused if one of these statements is damaged."""
@@ -218,7 +217,14 @@ class MendedText:
             if one is not bad:
                 multiplexed.append((one, signal.group(1)))
         for one, name in multiplexed:
-            self._note(message, name, 0, 0, one.start, _NO_MULTIPLEXER)
+            self._note(
+                message,
+                name,
+                0,
+                0,
+                one.start,
+                "is not used, since the line of its multiplexer cannot be read; correct that line",
+            )
             self._bad.append((one.start, one.end))
 
     def _note(self, message: str, signal: str, can_id: int, length: int, at: int, why: str) -> None:
