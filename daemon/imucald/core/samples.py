@@ -132,14 +132,13 @@ def width_of(channel: str) -> int:
 
 
 def speed_of_wheels(wheels: Sequence[float]) -> float:
-    """Return the speed of the vehicle from four wheel speeds: the mean of the two middle sizes, so
-    that one slipping or blocked wheel has no effect."""
-    _, b, c, _ = sorted(abs(v) for v in wheels)
-    return 0.5 * (b + c)
+    """Return the result of `speeds_of_wheels` for one sample."""
+    return float(speeds_of_wheels(np.array([wheels]))[0])
 
 
 def speeds_of_wheels(wheels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the result of `speed_of_wheels` for samples (N, 4): (N,)."""
+    """Return the speed of the vehicle (N,) from four wheel speeds (N, 4): the mean of the two
+    middle sizes, so that one slipping or blocked wheel has no effect."""
     ordered = np.sort(np.abs(wheels), axis=1)
     return np.asarray(0.5 * (ordered[:, 1] + ordered[:, 2]))
 

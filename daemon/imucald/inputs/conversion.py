@@ -68,18 +68,11 @@ class Conversion(Struct, frozen=True):
         if not self.low <= physical <= self.high:
             return math.nan, 4
         if self.unit.dimension == "flag":
-            return self._flag(physical), OK
+            return float(self._flags(np.array([physical]))[0]), OK
         value = ((physical + self.offset) * self.unit.factor + self.unit.offset) * self.sign
         if not -self.limit <= value <= self.limit:
             return math.nan, 4
         return value, OK
-
-    def _flag(self, physical: float) -> float:
-        if self.on_values is not None:
-            return 1.0 if physical in self.on_values else 0.0
-        if self.on_above is not None:
-            return 1.0 if physical > self.on_above else 0.0
-        return 1.0 if physical != 0.0 else 0.0
 
     def array(
         self, raw: NDArray[np.generic], physical: NDArray[np.float64]
