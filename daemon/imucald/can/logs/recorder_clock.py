@@ -14,6 +14,7 @@ near each other. Four faults can be detected from the frames:
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -96,57 +97,40 @@ def by_the_clock(
 def _without_damaged_stamps(
     log: Log, chunks: Iterator[FrameColumns], statistics: ReadStatistics
 ) -> Iterator[FrameColumns]:
-    """Yield the frames, in chunks that are not empty, without those that `_DamagedStamps` finds."""
-    damaged = _DamagedStamps(log, statistics)
-    for chunk in chunks:
-        if len(chunk) and len(frames := damaged.add_frames(chunk)):
-            yield frames
-    last = damaged.rest()
-    if last is not None and len(last):
-        yield last
-
-
-class _DamagedStamps:
-    """Rejects single frames whose stamp is more than `DAMAGED_STEP` from those of both neighbours,
-    which are nearer to each other than that.
+    """Yield the frames, in chunks that are not empty, without single frames whose stamp is more
+    than `DAMAGED_STEP` from those of both neighbours, which are nearer to each other than that.
 
     Several such frames in a row are not rejected, because it is not known which stamps are right.
     """
-
-    def __init__(self, log: Log, statistics: ReadStatistics) -> None:
-        self._log, self._statistics = log, statistics
-        self._before, self._is_alone_before = math.nan, False
-        self._open: list[FrameColumns] = []  # the next frame decides about these
-
-    def add_frames(self, frames: FrameColumns) -> FrameColumns:
-        """Add frames. Return those that are decided and right."""
-        return self._right(concatenate([*self._open, frames]), is_end=False)
-
-    def rest(self) -> FrameColumns | None:
-        """Return the right ones among the last frames; None if all frames were returned before."""
-        return self._right(concatenate(self._open), is_end=True) if self._open else None
-
-    def _right(self, frames: FrameColumns, is_end: bool) -> FrameColumns:
-        t = np.append(self._before, frames.t)
+    before, is_alone_before = math.nan, False
+    undecided: list[FrameColumns] = []  # the next frame decides about these
+    for chunk in itertools.chain((one for one in chunks if len(one)), [None]):
+        if chunk is None and not undecided:
+            return
+        frames = concatenate(undecided if chunk is None else [*undecided, chunk])
+        t = np.append(before, frames.t)
         is_far = np.abs(np.diff(t)) > DAMAGED_STEP
         is_alone = np.zeros(len(frames) + 1, dtype=bool)
-        is_alone[0] = self._is_alone_before
+        is_alone[0] = is_alone_before
         is_alone[1:-1] = is_far[:-1] & is_far[1:] & (np.abs(t[2:] - t[:-2]) <= DAMAGED_STEP)
         run = is_far[-2:]
-        left = 0 if is_end else len(run) if run.all() else int(run[-1])
+        left = 0 if chunk is None else len(run) if run.all() else int(run[-1])
         decided = len(frames) - left
         is_wrong = is_alone[1:] & ~is_alone[:-1] & ~np.append(is_alone[2:], False)
         is_wrong = is_wrong[:decided]
         for k in np.flatnonzero(is_wrong).tolist():
-            self._statistics.reject(
+            statistics.reject(
                 "bad_timestamp",
-                f"{self._log}: the time stamp {t[k + 1]:.6f} is {t[k + 1] - t[k]:+.1f} s from "
-                "those of the frames before and after it",
+                f"{log}: the time stamp {t[k + 1]:.6f} is {t[k + 1] - t[k]:+.1f} s from those of "
+                "the frames before and after it",
             )
-        self._statistics.frames_read -= int(np.count_nonzero(is_wrong))  # they were counted as read
-        self._open = [frames.take(slice(decided, len(frames)))] if left else []
-        self._before, self._is_alone_before = float(t[decided]), bool(is_alone[decided])
-        return frames.take(slice(0, decided)).take(~is_wrong) if is_far.any() else frames
+        statistics.frames_read -= int(np.count_nonzero(is_wrong))  # they were counted as read
+        undecided = [frames.take(slice(decided, len(frames)))] if left else []
+        before, is_alone_before = float(t[decided]), bool(is_alone[decided])
+        if is_far.any():
+            frames = frames.take(slice(0, decided)).take(~is_wrong)
+        if len(frames):
+            yield frames
 
 
 def _steps_back(t: Times) -> Times:
