@@ -54,10 +54,6 @@ SURPRISE = 18.5
 """-log of the probability of the data without a rail, from which a rail is accepted [nats]: a
 chance of 1e-8. Six axes with two ends have about 1e7 driving hops (half a second each) in 100 h.
 """
-BOTH_ENDS = 4.0
-"""Additional surprise that the sum of two surprises needs if both ends of the range are reached.
-The value follows from x + log(1 + x).
-"""
 BROAD = 3
 """Number of peaks that form the tail of the distribution, as a multiple of the number of peaks at
 the largest value. The scale of the tail is measured over these peaks."""
@@ -403,11 +399,9 @@ class AxisRails:
             for rail in self.sides:
                 if rail.changed:
                     rail.weigh(last)
-        if surprise := high.surprise + low.surprise:
-            least = 0.0 if surprise > self._least + BOTH_ENDS else self._least
-            for rail in self.sides:
-                if rail.surprise > least and not rail.found:
-                    rail.on_rail()
+        for rail in self.sides:
+            if rail.surprise > self._least and not rail.found:
+                rail.on_rail()
         return high.found or low.found
 
     def _has_tail(self, step: float) -> bool:

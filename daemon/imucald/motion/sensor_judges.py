@@ -63,10 +63,6 @@ OTHER_CHANGE = 4.0
 """Factor by which the noise of the other sensor changes if the road became rough. In this case, the
 unit has not changed.
 """
-SOME_CHANGES = 3
-"""Smallest number of changes of an axis that became quieter. A single change comes from a sender
-that had stopped.
-"""
 USUAL_HOPS = 20
 """Number of driving hops (10 s) whose mean noise identifies a unit.
 
@@ -302,10 +298,10 @@ class UnitChange:
             np.concatenate(pair) for pair in zip(self._before, new, strict=True)
         )
         self._before = tuple(rows[1 - UNIT_HOPS :] for rows in (level, count, other, moved))
-        up, (early, late), (_, some) = _ratio(level), _enough(count), _enough(count, SOME_CHANGES)
+        up, often = _ratio(level), _enough(count)
         lowest, highest = _within_five(moved[:, 0])
-        more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)
-        less = early & some & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
+        more = often & ((self._low < up) & (up < self._high)).all(axis=1)
+        less = often & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
         out = np.zeros(len(up), dtype=bool)
         if not sign.any() and not self._changed:
@@ -315,7 +311,7 @@ class UnitChange:
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
         # A sensor that cannot show whether a vehicle moves off does not show that it stands.
-        felt = np.where(np.logical_and(*_enough(other[:, 1:])), ~same, lowest != highest)
+        felt = np.where(_enough(other[:, 1:]), ~same, lowest != highest)
         # At rest the noise may fall because a hand lets go or the body stops rocking. The noise of
         # driving falls only by a unit.
         drives = (lowest > 0.0).tolist()
@@ -358,12 +354,12 @@ class _MeanLog:
             self.mean += (math.log(size) - self.mean) / self.count
 
 
-def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
-    """Return two flags for each hop (half a second): whether every axis changed often enough in two
-    hops, and in two later hops. There is one hop between the two pairs.
+def _enough(count: Array) -> Flags:
+    """Return whether every axis changed often enough in two hops (half a second each), and in two
+    later hops. There is one hop between the two pairs.
     """
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
-    return np.all(early >= least, axis=1), np.all(late >= least, axis=1)
+    return np.all(np.minimum(early, late) >= UNIT_CHANGES, axis=1)
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
