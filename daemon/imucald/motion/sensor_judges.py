@@ -359,7 +359,7 @@ def _enough(count: Array) -> Flags:
     later hops. There is one hop between the two pairs.
     """
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
-    return np.all(np.minimum(early, late) >= UNIT_CHANGES, axis=1)
+    return np.asarray((np.minimum(early, late) >= UNIT_CHANGES).all(axis=1))
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
