@@ -214,10 +214,6 @@ class JointEstimator:
             self._take_block(self._signals.block())
             self._estimate = None
 
-    def expect(self, ticks: Array) -> None:
-        """Prepare the next ticks (n, COLUMNS), see `mount.estimate.KeepsTicks`."""
-        self._signals.expect(ticks)
-
     def quiet_ticks(self) -> int:
         """Number of next ticks that are only stored, see `mount.estimate.KeepsTicks`."""
         return 0 if self._served.is_turning else self._signals.until_block - 1
