@@ -262,6 +262,7 @@ class JointEstimator:
         return Priors(
             cross_axis=((configured, 1.0),) if configured else usual.cross_axis,
             zero=max(usual.zero, s.calibration.accelerometer_bias),
+            slope=s.slope,
             crown=(s.crown, s.vehicle.crown_std),
         )
 

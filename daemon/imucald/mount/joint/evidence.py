@@ -26,7 +26,15 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive import equations as eq
 from imucald.drive import windows as wd
-from imucald.drive.roads import SLOPE_M, Slopes, mean_slopes, road_slopes, slope_way, without_bend
+from imucald.drive.roads import (
+    SLOPE_M,
+    Slopes,
+    mean_slopes,
+    road_slopes,
+    road_weight,
+    slope_way,
+    without_bend,
+)
 from imucald.drive.speed_knots import known_rate, known_times, means_between
 from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
@@ -736,8 +744,7 @@ class Evidence:
         speed: (N,) [m/s]. ahead: (N,) speed along the direction of travel that the gear shows
         [m/s].
         """
-        passed = slope_way(speed) * use * TICK_S
-        weight = passed + 0.05 * TICK_S * use
+        passed, weight = slope_way(speed) * use * TICK_S, road_weight(speed, use)
         square = weight * np.square(speed)
         rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square, ahead * use])
         blocks = rows.reshape(-1, wd.BLOCK, 6).sum(axis=1)
