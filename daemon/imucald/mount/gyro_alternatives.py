@@ -15,14 +15,7 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.log_ratios import (
-    HELD,
-    INDEPENDENT,
-    MOST,
-    TO_ACCUSE,
-    is_seen,
-    share_seen,
-)
+from imucald.mount.log_ratios import INDEPENDENT
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TILT_FLOOR = 0.003
@@ -49,76 +42,10 @@ HALF = len(TRIED) // 2
 inverted. The last matrix of `TRIED` is the inverted identity.
 """
 
-MOST_OF_LATE = TO_ACCUSE / 3.0
-"""Largest evidence of one block for a fault that begins in the middle of a drive.
-
-Four blocks are needed, because three blocks reach the limit but do not exceed it.
-"""
-LEAST_TURN = 0.02
-"""Smallest angle [rad] of a block: if no axis has turned by this angle, the block is not used for
-signs."""
-
-
-class GyroAlternatives:
-    """The evidence against each signed permutation of the gyroscope's axes, summed over blocks.
-
-    Before a fault that begins in the middle of a drive, all evidence is for the configured axes. A
-    second sum therefore restarts at zero whenever it favours the configured axes (Page's test;
-    Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.2). With a threshold h and
-    independent blocks, a false alarm occurs once in e^h blocks.
-    """
-
-    def __init__(self) -> None:
-        self._sums = np.zeros(len(TRIED) - 1)
-        self._late = np.zeros(len(TRIED) - 1)
-        self.blocks = 0
-
-    def forget(self) -> None:
-        """Begin again."""
-        self._sums[:] = self._late[:] = 0.0
-        self.blocks = 0
-
-    def add_ratios(self, ratios: Array) -> None:
-        """Add the log ratios (13,) of a block (`gyro_ratios`)."""
-        self._sums = _held(self._sums + _held(ratios, -MOST, MOST), -HELD, HELD)
-        self.blocks += 1
-
-    def add_late(self, ratios: Array) -> None:
-        """Add the log ratios of a block for faults that begin in the middle of a drive."""
-        held = _held(ratios, -MOST_OF_LATE, MOST_OF_LATE)
-        self._late = _held(self._late + held, -HELD, 0.0)
-
-    def is_seen(self, least: float) -> bool:
-        """True if all alternatives are ruled out, or if a long test found no evidence for any of
-        them.
-        """
-        return is_seen(float(self._sums.min()), self.blocks, least)
-
-    def share(self, least: float) -> float:
-        """Return the collected share (0 to 1) of the evidence that `is_seen` needs."""
-        return share_seen(float(self._sums.min()), self.blocks, least)
-
-    @property
-    def is_accused(self) -> bool:
-        """True if an alternative fits much better than the configured axes."""
-        return float(np.minimum(self._sums, self._late).min()) < -TO_ACCUSE
-
-
-def gyro_ratios(
-    ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
-) -> Array:
-    """Return the log likelihood ratios (13,) of a block: the configured axes against each
-    alternative.
-
-    ahead, across: level components of the force divided by g (N,); dv/dt is subtracted, v r (speed
-    times yaw rate) is not.
-    rate: (N, 3) in sensor axes [rad/s]. speed: (N,) [m/s]. gain: gain of v r.
-    """
-    return ratios_of(gyro_energies(ahead, across, rate, speed, R, gain))
-
 
 def ratios_of(left: Array) -> Array:
-    """Return the log likelihood ratios (13,) from the residual energies (14, 2)."""
+    """Return the log likelihood ratios (13,) of the configured axes against each alternative, from
+    the residual energies (14, 2)."""
     ratios: Array = (0.5 * INDEPENDENT * np.log(left[1:] / left[0])).sum(axis=1)
     return ratios
 
@@ -128,6 +55,10 @@ def gyro_energies(
 ) -> Array:
     """Return the residual energies (14, 2) of the level components of the vertical for each
     alternative [rad^2].
+
+    ahead, across: level components of the force divided by g (N,); dv/dt is subtracted, v r (speed
+    times yaw rate) is not. rate: (N, 3) in sensor axes [rad/s]. speed: (N,) [m/s]. gain: gain of
+    v r.
 
     Inverting the signs of all rates inverts the predicted changes. The changes are therefore
     computed for one half of the alternatives only.
@@ -166,11 +97,4 @@ def _smoothed(x: Array) -> Array:
     for k in range(1, 2 * AROUND + 1):
         out += longer[:, k : k + n]
     out *= WEIGHT
-    return out
-
-
-def _held(x: Array, low: float, high: float) -> Array:
-    """Limit values to the range from low to high. `numpy.clip` takes three times as long for so few
-    values."""
-    out: Array = np.minimum(np.maximum(x, low), high)
     return out

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, times
 from imucald.core.samples import GRAVITY
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
-from imucald.mount.block_sums import masked_sums
 from imucald.mount.estimate import Correction
 from imucald.mount.signal_blocks import SignalBlock
 
@@ -42,16 +43,14 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     turns, a block of driving is not judged, because its bend may be arbitrarily sharp.
     """
     use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)
-    n, *sums = masked_sums(p.force, use)
-    if n < LEAST_TICKS:
+    if np.count_nonzero(use) < LEAST_TICKS:
         return False
-    u, v, w = (x / n for x in sums)
-    x, y, z = (a * u + b * v + c * w for a, b, c in R.tolist())
+    x, y, z = (R @ p.force[use].mean(axis=0)).tolist()
     if not math.hypot(x, y, z) >= 0.5 * GRAVITY:
         return False
     if math.atan2(math.hypot(x, y), z) <= MAX_OFF_VERTICAL:
         return False
-    ahead, across = float(p.accel[use].sum()) / n, float(turn[use].sum()) / n
+    ahead, across = float(p.accel[use].mean()), float(turn[use].mean())
     return math.atan2(math.hypot(x - ahead, y - across), z) > MAX_OFF_VERTICAL
 
 

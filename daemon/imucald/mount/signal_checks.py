@@ -19,10 +19,6 @@ from imucald.mount.log_ratios import TO_BE_FINE, TO_BE_GOOD
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.stated_orientation import Stated
 
-STUCK_BLOCKS = 40
-"""Number of blocks (4 min) after which the rotation is searched again while a contradiction is
-present, because the mount may move.
-"""
 FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
 """Faults that end when a new rotation is found during the fault. This new rotation stays in use."""
 
@@ -94,8 +90,7 @@ class SignalChecks:
         new = [fault for fault in self.standing if fault not in before]
         self.history += [(signals.blocks, fault) for fault in new]
         has_ended = bool(before) and not self.standing and FOUND_ANEW.isdisjoint(before)
-        is_stuck = bool(self.standing) and carried.blocks >= STUCK_BLOCKS
-        return bool(new) or has_ended or is_stuck
+        return bool(new) or has_ended
 
     @property
     def is_motion_accused(self) -> bool:
@@ -161,8 +156,7 @@ class SignalChecks:
     @property
     def have_agreed(self) -> bool:
         """True if all signals were seen to agree, with the certainty that *fine* needs."""
-        agreed = self._contradictions.agreed and self._has_usual_gains
-        return agreed and self._alternatives.are_seen(TO_BE_FINE)
+        return self._has_usual_gains and self._alternatives.are_seen(TO_BE_FINE)
 
     @property
     def _has_usual_gains(self) -> bool:
@@ -180,8 +174,7 @@ class SignalChecks:
             return self._alternatives.share(TO_BE_GOOD)
         if not self._has_usual_gains:
             return 0.0
-        signs = self._alternatives
-        return min(signs.share(TO_BE_FINE), signs.mirror_share, self._contradictions.share)
+        return min(self._alternatives.share(TO_BE_FINE), self._alternatives.mirror_share)
 
     @property
     def is_mirror_excluded(self) -> bool:
