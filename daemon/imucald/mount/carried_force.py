@@ -31,7 +31,6 @@ still correlates with the force.
 """
 SURE = 0.035
 """Deviation of the cross-talk below which little of the motion remains in the estimated gravity."""
-NO_ROADS = np.zeros((0, 4))
 
 
 class Delay(NamedTuple):
@@ -87,7 +86,7 @@ class MeanGravity:
         unknown. slope: deviation of a road's slope.
         """
         mean = self._sum / self._weight
-        along, across = road_slopes(NO_ROADS, slope).over(np.array([self.metres]))[0]
+        along, across = road_slopes(np.zeros((0, 4)), slope).over(np.array([self.metres]))[0]
         motion = float(mean[3:] @ mean[3:]) / GRAVITY**2
         return levelling_rotation(mean[:3]), np.array([across, along]) + motion
 

@@ -21,6 +21,7 @@ import numpy as np
 from msgspec import Struct
 
 from imucald.core.arrays import Array, Flags
+from imucald.mount.joint.response import PRIOR_SEGMENTS
 
 SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
 """Sizes of a random walk, as standard deviation of a step [rad/segment], and of steady creep, as
@@ -47,10 +48,6 @@ LATE = 0.5
 """Mean age of a reported value, in segments. The value is valid for the middle of a segment, half a
 segment ago, and is reported until the next segment ends.
 """
-PRIOR_SEGMENTS = 6.0
-"""Weight of the prior for the spread between segments: the prior counts as this number of segments.
-
-The prior is the variance that the source itself states."""
 HIDDEN = 0.4
 """Share of a drift that the segments may not show.
 

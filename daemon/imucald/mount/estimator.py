@@ -62,10 +62,10 @@ from imucald.mount.hand_moves import YAW, HandMove
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.joint.drift import LOG_ONSETS, NAMED, Drift
 from imucald.mount.joint.drift import NONE as NO_DRIFT
-from imucald.mount.joint.evidence import MIDDLES, NO_ZERO, Block, Evidence, Solution
+from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
-from imucald.mount.joint.state import PHI, OtherSignals, Priors
+from imucald.mount.joint.state import PHI, ZERO_VECTOR, OtherSignals, Priors
 from imucald.mount.joint.sudden_changes import TURNED_STD
 from imucald.mount.mount_changes import (
     ALERT_DEVIATIONS,
@@ -95,15 +95,10 @@ OPEN_BLOCKS = 20
 """Number of blocks (2 min) after which new evidence decides the cause of a sudden change. After
 this time, the filter has absorbed the change.
 """
-FAILED_BLOCKS = 14
-"""Number of blocks (90 s) for which numbers out of range remain reported after their last
-occurrence.
-"""
 MINUTE_BLOCKS = 10
-"""Number of blocks (a minute) that decide which conditions are missing. A condition that fails in a
-single block is usually met again soon.
+"""Number of blocks (a minute) that decide which conditions are missing. Numbers out of range remain
+reported as long. A condition that fails in a single block is usually met again soon.
 """
-TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
 """Number of ticks of a block that are not trusted, from which learning counts as frozen."""
 SOLUTIONS_KEPT = 32
@@ -319,7 +314,7 @@ class JointEstimator:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
                 self._learn_from(p)
         except (np.linalg.LinAlgError, ArithmeticError):
-            self._failed_for = FAILED_BLOCKS
+            self._failed_for = MINUTE_BLOCKS
             self._begin_without_rotation()  # impossible numbers are in the evidence
         self._judge(p)
 
@@ -678,7 +673,7 @@ class JointEstimator:
             return
         x, y, z = (R @ self._stepped).tolist()
         if self._is_usable(self.solution):
-            before = NO_ZERO if self._before_step is None else self._before_step.bias
+            before = ZERO_VECTOR if self._before_step is None else self._before_step.bias
             x, y, _ = (R @ (self._joint.bias - before)).tolist()
         if abs(z) > NAMED:
             yield StandingFault.ACCEL_LEVEL
@@ -750,7 +745,7 @@ class JointEstimator:
             speed=has_speed and any(ok for _, ok, _ in lately),
             speed_hz=hz if has_speed else 0.0,
             frozen=lately[-1][2] >= FROZEN_TICKS,
-            turning=carried.own_gyro or bool(self._signals.seen & TURNING),
+            turning=carried.own_gyro or bool(self._signals.seen & {"yaw_rate", "steering"}),
             has_gyro=self._joint.signals.gyro,
             without_speed=not has_speed,
         )

@@ -239,7 +239,6 @@ stops of all kinds."""
 LONGEST_S = 3600.0
 """Longest remaining time that is reported [s]. With a longer time, the evidence has almost stopped
 growing."""
-GOALS = (MountState.USABLE, MountState.FINE)
 FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
 """Duration of signals that a first solution needs [s]: two windows."""
 FIRST = "first solution (acceleration, braking, bends)"
@@ -269,7 +268,7 @@ class ProgressWatch:
                 **_of_angles(known, settings, goal),
                 **acceptance.shares(goal is MountState.FINE),
             }
-            for goal in GOALS
+            for goal in (MountState.USABLE, MountState.FINE)
         }
         self._lately.append((t, shares))
 

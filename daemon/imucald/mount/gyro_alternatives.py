@@ -20,10 +20,8 @@ from imucald.mount.signal_blocks import BLOCK_TICKS
 
 TILT_FLOOR = 0.003
 """Smallest assumed noise of the level components t [rad]."""
-LEAST_ENERGY = BLOCK_TICKS * TILT_FLOOR**2
 AROUND = 5
 """Number of ticks before and after a tick over which the means are taken: a second in total."""
-WEIGHT = 1.0 / (2 * AROUND + 1)
 
 
 def _signed_permutations() -> Array:
@@ -85,7 +83,7 @@ def gyro_energies(
     opposite[-1, 1] += across + aside[0]
     left -= left.sum(axis=2, keepdims=True) / len(ahead)
     left *= left
-    out: Array = left.sum(axis=2) + LEAST_ENERGY
+    out: Array = left.sum(axis=2) + BLOCK_TICKS * TILT_FLOOR**2
     return out
 
 
@@ -96,5 +94,4 @@ def _smoothed(x: Array) -> Array:
     out = longer[:, :n].copy()
     for k in range(1, 2 * AROUND + 1):
         out += longer[:, k : k + n]
-    out *= WEIGHT
-    return out
+    return out / (2 * AROUND + 1)

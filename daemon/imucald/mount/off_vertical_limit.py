@@ -28,11 +28,8 @@ The steepest street has a slope of 35 % (19.3 deg, Baldwin Street). The remainin
 the error of a mount that was levelled on a slope.
 """
 
-LEAST_TICKS = 32
-"""Smallest number of good ticks in a usable block: half of all ticks."""
-STANDING_TICKS = 32
-DRIVING_TICKS = 256
-_COS = math.cos(MAX_OFF_VERTICAL)
+LEAST_TICKS, DRIVING_TICKS = 32, 256
+"""Number of ticks that are enough while standing or in a block, and while driving."""
 
 
 def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
@@ -79,11 +76,11 @@ class PlumbLine:
         self._x += tick[ACCEL.x]
         self._y += tick[ACCEL.y]
         self._z += tick[ACCEL.z]
-        if self._n < (STANDING_TICKS if self._standing else DRIVING_TICKS):
+        if self._n < (LEAST_TICKS if self._standing else DRIVING_TICKS):
             return
         x, y, z = self._x, self._y, self._z
         size = math.sqrt(x * x + y * y + z * z)
         up = times(correction.rotation, (x, y, z))[2]
         if math.isfinite(size) and size > 0.0:
-            self.is_off = up < _COS * size
+            self.is_off = up < math.cos(MAX_OFF_VERTICAL) * size
         self._clear()

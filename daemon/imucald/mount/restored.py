@@ -68,8 +68,6 @@ HELD_BY_CONFIGURATION = (
 )
 """Text of the missing condition of a mount that the configuration holds."""
 
-NONE_JUDGED: Mapping[str, bool] = {}
-
 
 class StoredMount(Struct, frozen=True):
     """Result of an earlier drive.
@@ -224,7 +222,7 @@ class RestoredEstimator:
         """Stuck signals of the vehicle from the inner estimator; empty if the inner estimator does
         not look for stuck signals.
         """
-        return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
+        return {} if self._judges is None else self._judges.stuck_signals
 
     def step(self, tick: TickRow) -> None:
         """Process one tick."""

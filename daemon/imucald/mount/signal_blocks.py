@@ -54,7 +54,8 @@ __all__ = [
 
 
 BLOCK_S = BLOCK_TICKS * TICK_S
-MISSING = "no valid samples"
+NO_SAMPLES = "no valid samples"
+"""Cause of ticks that were not used."""
 NEIGHBOUR_TICKS = 2
 """Number of ticks before and after a stuck tick that also have no value or no slope."""
 YAW_GAP = 0.5
@@ -259,9 +260,9 @@ class SignalBlockMaker:
             own = spread_out(ticks, HOLD_TICKS.get(fault, NEIGHBOUR_TICKS))
             first = (len(own) - BLOCK_TICKS) // 2 if len(own) < ROWS else BEFORE
             self._leave_out(signal, fault.value, open_ticks, lacks & own[first:][:BLOCK_TICKS])
-        self._leave_out("accel", MISSING, open_ticks, ~p.ok_force)
+        self._leave_out("accel", NO_SAMPLES, open_ticks, ~p.ok_force)
         if "speed" in self.seen:
-            self._leave_out("speed", MISSING, open_ticks, ~p.ok_speed)
+            self._leave_out("speed", NO_SAMPLES, open_ticks, ~p.ok_speed)
 
     def _leave_out(self, signal: str, cause: str, open_ticks: Flags, flags: Flags) -> None:
         """Count the ticks that are both open and flagged, and remove them from the open ticks

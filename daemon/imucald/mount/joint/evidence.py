@@ -63,11 +63,11 @@ from imucald.mount.joint.state import (
     EPS,
     IN_BENDS,
     LAG,
-    NO_TURN,
     PHI,
     TURN,
     UNKNOWNS,
     ZERO,
+    ZERO_VECTOR,
     OtherSignals,
     Priors,
     WeightedPrior,
@@ -143,8 +143,6 @@ The values are rounded up from the means of eleven drives: three drives of secon
 measured drives, and the simulated drives with the seeds 970000 to 970005. These drives are
 therefore not used to judge results.
 """
-USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
-"""Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
 SQUAT = 0.006
 """Prior standard deviation of the response of the vertical force to d(v dv/dt)/dt [s^2/m].
 
@@ -174,12 +172,10 @@ rolling, pitching, dr/dt, lean in bends, lag of the rolling.
 Bodies roll later than v r rises, because the springs are damped and the lateral velocity takes time
 to build up. The last value is the rolling times a lag of 0.15 s (assumption).
 """
-_XS = tuple(range(wd.X.start, wd.X.stop))
 JERK: Final = len(wd.MAIN) + wd.EXTRA.index("jerk")
-_ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
 TURN_FITS: Final = Fits(
     tuple((wd.RATES.start + i, *wd.TURN_COLUMNS) for i in range(2)),
-    USUAL_TURN_NOISE,
+    np.full((2, wd.BANDS), 0.001),  # expected noise of roll rate and pitch rate [(rad/s)^2]
     np.tile(TURN_SPREAD, (2, 1)),
     keep=1,
 )
@@ -227,7 +223,6 @@ STEERED_GAIN = 0.2
 """Prior standard deviation of the gain of a turn rate that is computed from a steering angle. The
 cause is understeer (assumption).
 """
-ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
 ANSWERS: Final = {
@@ -263,15 +258,8 @@ LEVELS: Final = ("pitch_gravity", "roll_gravity")
 """Names of the evidence from the horizontal force: pitch from the force along x, roll from the
 force along y.
 """
-ALL_SIGNALS: Final = OtherSignals()
-ANY_DELAY: Final = DelayPrior()
-LEVEL: Final = np.array([0.0, 0.0, 1.0])
-"""Assumed direction of the vertical without a gyroscope: the vehicle is level."""
-NO_ZERO: Final = np.zeros(3)
 NO_WALK: Final = np.zeros((3, 3))
 NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
-NO_ARM: Final = (0.0, 0.0, 0.0)
-NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 LEVELLINGS = 3
 """Number of times that the first axes are levelled. A drive that begins in a long bend would
 otherwise begin with axes that are 10 deg off.
@@ -309,7 +297,7 @@ class Block(NamedTuple):
     speed: Array
     use: Flags
     is_rate_known: bool = True
-    rate_zero: Array = NO_ZERO
+    rate_zero: Array = ZERO_VECTOR
     rate_walk: Array = NO_WALK
     knots: Array = MIDDLES
     least_speed: float = 0.0
@@ -358,7 +346,7 @@ class Solution(NamedTuple):
         terms[EPS][2] = self.turn
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
-    def sent(self, turned: Array = NO_TURN, zero: Array = NO_ZERO) -> SentDeviations:
+    def sent(self, turned: Array = ZERO_VECTOR, zero: Array = ZERO_VECTOR) -> SentDeviations:
         """Return the deviations of the sent data.
 
         turned: (3,) variance of an additional rotation of both sensors [rad^2]. zero: (3,) variance
@@ -376,16 +364,16 @@ class Evidence:
         known: KnownSensor | None = None,
         is_moved: bool = False,
         past: Drift | None = None,
-        signals: OtherSignals = ALL_SIGNALS,
-        late: DelayPrior = ANY_DELAY,
-        lever_arm: tuple[float, float, float] = NO_ARM,
+        signals: OtherSignals | None = None,
+        late: DelayPrior | None = None,
+        lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
         """known: earlier data of the sensor. is_moved: the sensor was moved after these data.
 
         past: an earlier drift, in sensor axes. late: prior of the delay of the speed. lever_arm:
         known vector from the body's centre of rotation to the sensor, vehicle axes [m].
         """
-        self.signals = signals
+        self.signals = signals = signals or OtherSignals()
         self._past = past
         self._priors = priors
         self.known, self.is_moved = known, is_moved
@@ -398,8 +386,8 @@ class Evidence:
         evidence for this rotation.
         """
         self._taken = np.zeros(UNKNOWNS)
-        self._late, self._lever_arm = late, lever_arm
-        self.delay, self.delay_std = late.mean, math.inf
+        self._late, self._lever_arm = late or DelayPrior(), lever_arm
+        self.delay, self.delay_std = self._late.mean, math.inf
         self._later = 0.0  # change of the delay that the last fit asks for
         self.gains = (1.0, 1.0)
         """Gains of the force on dv/dt and v r (speed times yaw rate)."""
@@ -416,7 +404,8 @@ class Evidence:
         self._roads: dict[int, Slopes] = {}  # by number of blocks
         self._done = self._followed = 0
         self._drift, self._found_drift = ZeroDrift(), NO_DRIFT
-        self._drift_axes, self._drift_delay = NO_AXES, math.inf
+        self._drift_axes: Axes = np.eye(3), np.eye(3), ZERO_VECTOR
+        self._drift_delay = math.inf
         self._reset_windows()
 
     @property
@@ -485,7 +474,7 @@ class Evidence:
     @property
     def bias(self) -> Array:
         """Present estimate of the accelerometer's zero error (3,) in sensor axes [m/s^2]."""
-        return NO_ZERO if self.solution is None else self.solution.bias
+        return ZERO_VECTOR if self.solution is None else self.solution.bias
 
     @property
     def blocks(self) -> int:
@@ -657,7 +646,7 @@ class Evidence:
         if self.signals.gyro:
             up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
         else:
-            up, tilts = np.tile(LEVEL, (len(use), 1)), np.zeros((len(use), 3, 3))
+            up, tilts = np.tile([0.0, 0.0, 1.0], (len(use), 1)), np.zeros((len(use), 3, 3))
         x = np.hstack([wd.columns(force, rate, speed, accel, up, tilts), more])
         v = speed
         if not self.signals.speed:  # what the vehicle shows of it: rest, and the gear
@@ -848,7 +837,7 @@ class Evidence:
             return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
 
         changes = smooth(a)
-        R, moved = np.eye(3), NO_ZERO  # mean of the motion's part of the force, sensor axes
+        R, moved = np.eye(3), ZERO_VECTOR  # mean of the motion's part of the force, sensor axes
         for _ in range(LEVELLINGS):
             level_from_sensor = levelling_rotation(up - moved)
             turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
@@ -1146,7 +1135,7 @@ class Evidence:
         mean slope of the bends. Also return the variances (2,) of this mean slope.
         """
         priors, out = self._priors, []
-        found = self._sums.turning.respond(ALL_BANDS)
+        found = self._sums.turning.respond(np.ones(wd.BANDS, dtype=bool))
         leaning = _over_segments(self._slopes(), found.segments[:, 0]).diagonal()
         for i in range(2):
             row = rate_entry(i, 2)
@@ -1202,10 +1191,10 @@ def force_fits(signals: OtherSignals) -> Fits:
     """Return the fits of the axes of the force to the motion that these signals show."""
     noise = USUAL_NOISE.copy()
     spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)
-    columns = [(i, *_XS) for i in range(3)]
+    columns = [(i, *range(wd.X.start, wd.X.stop)) for i in range(3)]
     if not signals.gyro:
         noise += SLOPE_NOISE
-        spread[:, _ROLLING] = ROLLING_SPREAD
+        spread[:, len(wd.MAIN) + wd.EXTRA.index("dp/dt")] = ROLLING_SPREAD
     if not signals.speed:
         slopes = np.zeros(wd.BANDS) if signals.gyro else SLOPE_NOISE[1]
         few = len(UNKNOWN_SPREAD)

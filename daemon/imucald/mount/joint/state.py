@@ -28,7 +28,7 @@ TURN: Final = {
 }  # fmt: skip
 """Axis and sign of the rotation phi at each position of the matrix [phi x]."""
 PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
-NO_TURN: Final = np.zeros(3)
+ZERO_VECTOR: Final = np.zeros(3)
 UNKNOWNS = 15
 MOST_GAIN = 1.45
 """Largest gain of a sensor's matrix in any direction.
@@ -249,7 +249,7 @@ def sent_variance(covariance: Array) -> Array:
 
 
 def sent_deviations(
-    variance: Array, turned: Array = NO_TURN, zero: Array = NO_TURN
+    variance: Array, turned: Array = ZERO_VECTOR, zero: Array = ZERO_VECTOR
 ) -> SentDeviations:
     """Return the deviations of the sent data from their variances (8,).
 
