@@ -12,10 +12,10 @@ from test_estimator import drive, good_around
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.mount_changes import MountChanges
+from imucald.mount.signal_checks import WHY_GRAVITY_MOVED, Acceptance
 from imucald.simulation import random_model, simulate
 from mount_settings import joint_settings
 

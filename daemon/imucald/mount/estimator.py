@@ -42,7 +42,6 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive.unknown_speed import Steered
 from imucald.motion.ticks import TickRow
-from imucald.mount.acceptance import Acceptance
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.creep import Creep
@@ -85,7 +84,7 @@ from imucald.mount.signal_blocks import (
     SignalBlock,
     SignalBlockMaker,
 )
-from imucald.mount.signal_checks import SignalChecks
+from imucald.mount.signal_checks import Acceptance, SignalChecks
 from imucald.mount.states import Manoeuvres, MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
 
@@ -330,7 +329,7 @@ class JointEstimator:
         if carried.R is not None:
             turned = changes.at_once(p, carried, signals, is_watched)
         if turned is not None or self._is_gravity_open:  # no sign and no unit is contradicted
-            self._checks.forget_forces()
+            self._checks.contradictions.forget_forces()
         checked = p, carried, signals, self._kept, self._fits_no_sensor
         if turned is None and self._checks.take_block(*checked):
             self._begin_without_rotation([p])
@@ -379,7 +378,7 @@ class JointEstimator:
             self._forget_moves()
             self._changes.know_borne()
         if self._carried.follow(self._joint):
-            self._checks.forget_forces()  # the forces showed another rotation
+            self._checks.contradictions.forget_forces()  # the forces showed another rotation
 
     def _follow_signals(self) -> None:
         """Begin new evidence with all signals that are now available, and use the stored blocks
@@ -850,7 +849,7 @@ class JointEstimator:
         If the estimate agrees with this mount, the statement excludes alternatives that no signal
         can exclude.
         """
-        self._checks.take_mount(R)
+        self._checks.alternatives.take_mount(R)
 
 
 def _is_solved(evidence: Evidence) -> bool:

@@ -97,17 +97,12 @@ class StoredMount(Struct, frozen=True):
 
 
 @runtime_checkable
-class TakesStatedMount(Protocol):
-    """Interface of an estimator that uses a person's statement about the mount."""
+class KnowsSensor(Protocol):
+    """Interface of an estimator that finds errors of the sensor itself."""
 
     def take_stated_mount(self, R: Matrix3) -> None:
         """Use the mount R_vehicle_from_sensor (3, 3) that a person states."""
         ...
-
-
-@runtime_checkable
-class KnowsSensor(Protocol):
-    """Interface of an estimator that finds errors of the sensor itself."""
 
     def known_sensor(self) -> KnownSensor | None:
         """Return the knowledge about the sensor itself, which does not depend on the mount."""
@@ -180,7 +175,7 @@ class RestoredEstimator:
         """Result of the last comparison, as a chi-square with 3 degrees of freedom."""
         self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
         self._contradicted: Contradicted | None = None
-        if stored.is_given and isinstance(inner, TakesStatedMount):
+        if stored.is_given and isinstance(inner, KnowsSensor):
             inner.take_stated_mount(stored.R_vehicle_from_sensor)
         if stored.sensor is not None and isinstance(inner, KnowsSensor):
             inner.take_known_sensor(stored.sensor, stored.doubted)
