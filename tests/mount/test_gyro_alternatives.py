@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.mount.gyro_alternatives import TRIED
-from imucald.mount.log_ratios import HELD, LogRatios
+from imucald.mount.log_ratios import HELD, TRIED, LogRatios
 
 AGAINST = np.full(len(TRIED) - 1, -100.0)
 FOR = -AGAINST

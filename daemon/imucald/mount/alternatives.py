@@ -5,7 +5,7 @@ mount, which fits the data of the first minutes. A mount is therefore not good u
 ruled out every wrong sign and every exchange of axes. Each of these alternatives is compared with
 the configuration in blocks of 6.4 s (`log_ratios`). The first kind of alternative concerns pairs of
 signals that show the same motion. The second kind concerns the axes of the gyroscope against the
-axes of the accelerometer (`gyro_alternatives`).
+axes of the accelerometer (`gyro_energies`).
 
 The second kind cannot detect two cases. In case 1, all signs of the accelerometer are inverted:
 force and rate then show the mirror image of the drive, which obeys the same physics. In case 2, the
@@ -28,8 +28,16 @@ from imucald.core.samples import GRAVITY
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of
-from imucald.mount.log_ratios import LEAST_TICKS, TO_BE_FINE, TO_BE_GOOD, LogRatios, Mirrored
+from imucald.mount.log_ratios import (
+    LEAST_TICKS,
+    TO_BE_FINE,
+    TO_BE_GOOD,
+    TRIED,
+    LogRatios,
+    Mirrored,
+    gyro_energies,
+    ratios_of,
+)
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.stated_orientation import Stated, StatedOrientation
 

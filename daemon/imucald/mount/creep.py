@@ -56,8 +56,6 @@ reduces the estimated level most where the drift is largest. In simulated drives
 (seeds 500,000 to 500,011), the fit found 0.6 of the level with weights about the drift, and 0.5
 with weights about the mean.
 """
-SILENT = frozenset({"pitch_gravity", "pitch_axis"})
-"""Sources that differ too much between town and motorway to separate creep from the road."""
 
 
 class SegmentSeries(Struct, frozen=True):
@@ -107,8 +105,6 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
         return None
     left, known = np.zeros((3, n)), np.zeros((3, n))
     for one in series:
-        if one.kind in SILENT:
-            continue
         m, times = len(one.left), _times(one)
         left[one.axis, n - m :] += one.left / times
         known[one.axis, n - m :] += one.known / times

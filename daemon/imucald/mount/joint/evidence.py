@@ -1041,20 +1041,28 @@ class Evidence:
         return creep(self._series(), chance, shifts)
 
     def _series(self) -> list[SegmentSeries]:
-        """Return the evidence about the rotation relative to the working axes, by road segment."""
+        """Return the evidence about the rotation relative to the working axes, by road segment.
+
+        The axis of turning and the horizontal force along the vehicle are left out: they differ too
+        much between town and motorway to separate creep from the road.
+        """
         made, sums = [], self._sums
         force = sums.force.scores(sums.force.by_segment())
         shown = [(force, k, *one) for k, answered in enumerate(self._answered) for one in answered]
         if self.signals.gyro:
             turning = sums.turning.scores(sums.turning.by_segment())
-            shown += [(turning, i, 0, (i, 2)) for i in range(2)]
+            shown.append((turning, 1, 0, (1, 2)))
         for fit, k, place, (i, j) in shown:
             name = ANSWERS[i, j]
             scores, known = (part[k, :, place] for part in fit)
             part = 1.0 / (1.0 + known * self._left_out(i, j))
             score = -TURN[i, j][1] * part * scores  # the axes turn against the answer
             made.append(SegmentSeries(name, score, part * known, self.variances[name]))
-        return made + self._level_series()
+        _, across, weight, metres = self._levels_by_segment().T
+        known = (weight > 0.0) / self._slopes().over(metres)[:, 1]
+        angle = -TURN[1, 2][1] * across / np.maximum(weight, 1e-9)
+        left = known * (angle - float(known @ angle) / float(known.sum()))
+        return [*made, SegmentSeries(LEVELS[1], left, known, self.variances[LEVELS[1]])]
 
     def _left_out(self, i: int, j: int) -> float:
         """Return the variance of a response to motion that comes from effects without a term in the
@@ -1068,17 +1076,6 @@ class Evidence:
             xy = priors.eliminated[0] if self.signals.gyro else priors.uncarried
             more |= {(0, 1): xy, (1, 0): priors.eliminated[1]}
         return priors.floor**2 + more.get((i, j), 0.0) ** 2
-
-    def _level_series(self) -> list[SegmentSeries]:
-        """Return the evidence from the horizontal force, by road segment."""
-        along, across, weight, metres = self._levels_by_segment().T
-        slopes, made = self._slopes().over(metres), []
-        for i, (name, level) in enumerate(zip(LEVELS, (along, across), strict=True)):
-            known = (weight > 0.0) / slopes[:, i]
-            angle = -TURN[i, 2][1] * level / np.maximum(weight, 1e-9)
-            left = known * (angle - float(known @ angle) / float(known.sum()))
-            made.append(SegmentSeries(name, left, known, self.variances[name]))
-        return made
 
     def _levels_by_segment(self, to_last: bool = False) -> Array:
         """Return sums (S, 4) for each road segment: the two components of the horizontal force
