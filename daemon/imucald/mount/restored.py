@@ -62,11 +62,6 @@ HAND_OVER_RATE = math.radians(1.0)
 """Rate at which the applied correction moves to the new estimate [rad/s]."""
 CLEAR_STD = math.radians(20.0)
 """Largest deviation of an angle [rad] at which the angle can show an error of a stated mount."""
-HELD = "the end of the hold (imucald release)"
-HELD_BY_CONFIGURATION = (
-    "the end of the hold in the configuration ('calibration: mount: hold: true')"
-)
-"""Text of the missing condition of a mount that the configuration holds."""
 
 
 class StoredMount(Struct, frozen=True):
@@ -395,8 +390,10 @@ def _waiting_for_release(served: MountEstimate, by_configuration: bool) -> Mount
     the hold."""
     if served.state is MountState.FINE:
         return served
+    by = "in the configuration ('calibration: mount: hold: true')"
+    words = f"the end of the hold {by if by_configuration else '(imucald release)'}"
     return replace(
         served,
-        waiting_for=dict.fromkeys(ANGLES, HELD_BY_CONFIGURATION if by_configuration else HELD),
+        waiting_for=dict.fromkeys(ANGLES, words),
         missing=dict.fromkeys(ANGLES, Missing.LEARNING_FROZEN),
     )

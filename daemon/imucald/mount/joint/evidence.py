@@ -486,11 +486,6 @@ class Evidence:
         """Length of the evidence [s]."""
         return len(self._blocks) * BLOCK_TICKS * TICK_S
 
-    @property
-    def compares_with_before(self) -> bool:
-        """True if the hypothesis that nothing has changed is one of the hypotheses."""
-        return self.known is not None and not self.is_moved
-
     def gap(self) -> None:
         """Note a jump of time. Later blocks are not joined with earlier blocks."""
         self._breaks.add(len(self._blocks))
@@ -960,7 +955,7 @@ class Evidence:
         hypotheses = self._hypotheses()
         theta, covariance, shares = fuse(hypotheses, measured, self._taken)
         same, against = 0.0, None
-        if self.compares_with_before:
+        if self.known is not None and not self.is_moved:
             same = float(shares[AS_BEFORE])
             against = contradiction(hypotheses[AS_BEFORE], measured, self._taken)
         return self._applied(theta, covariance, same, against)

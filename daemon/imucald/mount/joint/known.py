@@ -80,7 +80,6 @@ housing's rotation.
 Within one mount, cross-axis terms cause a difference of some hundredths. If the difference is
 larger than the limit, the rotations belong to different mounts.
 """
-DIGITS = 9
 _UPPER = np.triu_indices(TERMS)
 _XY, _YX, _XZ, _YZ = (GYRO.start + k for k in (1, 3, 2, 5))
 
@@ -206,8 +205,8 @@ class KnownSensor(NamedTuple):
         """Return plain values for JSON."""
         return {
             "rotation": self.rotation.ravel().tolist(),
-            "mean": [float(f"{v:.{DIGITS}g}") for v in self.mean.tolist()],
-            "covariance": [float(f"{v:.{DIGITS}g}") for v in self.covariance[_UPPER].tolist()],
+            "mean": [float(f"{v:.9g}") for v in self.mean.tolist()],
+            "covariance": [float(f"{v:.9g}") for v in self.covariance[_UPPER].tolist()],
         }
 
 
