@@ -574,7 +574,6 @@ class JointEstimator:
         self._begin_afresh(blocks)
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
-        """Begin again from these blocks."""
         kept = list(blocks)
         self._served.has_moved = True
         self._changes.restart()
@@ -691,7 +690,6 @@ class JointEstimator:
         self._checks.hold_against_orientation(R, is_yaw_known, self._signals.blocks)
 
     def _good_mount(self) -> GoodMount | None:
-        """Return the present good mount, or None."""
         good = self._served.good
         return None if good is None else GoodMount(good.rotation, self._stated())
 
@@ -728,7 +726,6 @@ class JointEstimator:
         return yaw < limits.usable_yaw and max(roll, pitch) < limits.usable_tilt
 
     def _knowledge(self, p: SignalBlock) -> MountKnowledge:
-        """Return the knowledge after a block."""
         frozen = ~p.learn & p.ok_force
         self._lately.append(tuple(map(np.count_nonzero, (p.ok_force, p.ok_speed, frozen))))
         lately, has_speed = self._lately, not self._signals.without_speed
@@ -863,7 +860,6 @@ def _is_solved(evidence: Evidence) -> bool:
 
 
 def _good_mount_of(solution: Solution) -> GoodMount:
-    """Return the mount of a solution."""
     own = tuple(np.sqrt(solution.covariance[PHI, PHI].diagonal()).tolist())
     return GoodMount(Correction.turning(solution.housing).rotation, own)
 
