@@ -80,7 +80,7 @@ def test_a_zero_that_steps_back_is_a_fault_no_more():
 
 
 def test_nothing_is_good_while_it_is_not_known_what_moved_gravity():
-    agreed: Any = SimpleNamespace(missing_to_be_good=lambda: None)
+    agreed: Any = SimpleNamespace(alternatives=SimpleNamespace(missing=lambda _: None))
     changes = MountChanges()
     flags = {"is_delay_beyond": False, "has_speed": True, "has_speed_now": True}
     for is_open in (True, False):

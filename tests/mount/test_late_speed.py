@@ -79,7 +79,6 @@ def test_force_and_speed_are_held_against_one_another_at_the_delay(ticks):
     assert watch.faults == ()
     assert watch.speed.pieces
     assert watch.turns.pieces
-    assert not watch.doubtful
 
 
 def test_a_late_speed_that_is_taken_as_it_comes_would_be_accused():

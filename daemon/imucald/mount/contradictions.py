@@ -201,11 +201,6 @@ class PairWatch:
         return len(self._pieces)
 
     @property
-    def last_unlike(self) -> bool:
-        """True if the two signals do not fit each other in the last piece."""
-        return bool(self._pieces) and self._is_wrong(self._pieces[-1])
-
-    @property
     def gain(self) -> float:
         """Median of the gains of the stored pieces."""
         return median([piece.slope for piece in self._pieces]) if self._pieces else 1.0
@@ -305,8 +300,6 @@ class Contradictions:
             steered = yaw_rate_with_understeer(p.speed, p.steering - steering_offset, *vehicle)
             use = p.ok_steering & moving & (p.ok_rate | p.ok_yaw)
             self.steering.add_signals(steered, turn_rate, use)
-        if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
-            self.yaw_rate.accused = self.steering.accused = True
         if R is None or late is None:
             return
         ticks, n = round(late / TICK_S), len(turn_rate)
@@ -346,15 +339,6 @@ class Contradictions:
         elif self.speed.odd_gain and self.speed.gain > 1.0:
             found.append(StandingFault.SPEED_GAIN)
         return tuple(found)
-
-    @property
-    def doubtful(self) -> bool:
-        """True if the two signals of any pair do not fit each other in the last piece.
-
-        The mount cannot become good at such a time.
-        """
-        pairs = self.yaw_rate, self.steering, self.turns, self.hard_turns, self.speed
-        return any(pair.last_unlike for pair in pairs)
 
 
 def _own_noise(signal: Array) -> float:

@@ -163,18 +163,6 @@ class SignalChecks:
         self.contradictions.forget_forces()
         self.alternatives.restart()
 
-    def missing_to_be_good(self) -> str | None:
-        """Return in words the evidence that an estimate needs to become good; None: no more
-        evidence is needed."""
-        return self.doubt or self.alternatives.missing(TO_BE_GOOD)
-
-    @property
-    def doubt(self) -> str | None:
-        """Return in words the evidence that is needed because signals contradict each other; None:
-        no more evidence is needed."""
-        is_doubtful = self.contradictions.doubtful
-        return "more bends: some signals contradict each other" if is_doubtful else None
-
     @property
     def have_agreed(self) -> bool:
         """True if all signals were seen to agree, with the certainty that *fine* needs."""
@@ -234,7 +222,7 @@ class Acceptance(Struct, frozen=True):
         return self._missing_of_signals()
 
     def _missing_of_signals(self) -> str | None:
-        return self.checks.doubt if self.are_signs_known else self.checks.missing_to_be_good()
+        return None if self.are_signs_known else self.checks.alternatives.missing(TO_BE_GOOD)
 
     def shares(self, is_fine: bool) -> dict[str, float]:
         """Return the share of each condition that is met (0 to 1), by the name of the condition.
