@@ -15,9 +15,8 @@ WHERE = {
     "states.py": ("waiting_for", "_first_reason", "_yaw_reason", "_level_reason", "_hard",
                   "NO_SAMPLES"),
     "alternatives.py": ("missing", "NO_TURNS"),
-    "signal_checks.py": ("doubt",),
-    "acceptance.py": ("missing_to_be_fine", "NO_SIDES", "TURNED_SIDES", "WHY_GRAVITY_MOVED",
-                      "NO_SPEED", "LATE_SPEED"),
+    "signal_checks.py": ("missing_to_be_fine", "NO_SIDES", "TURNED_SIDES",
+                         "WHY_GRAVITY_MOVED", "NO_SPEED", "LATE_SPEED"),
 }  # fmt: skip
 """Functions and constants whose texts are reasons."""
 

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.acceptance import Acceptance
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.joint.evidence import Evidence
+from imucald.mount.signal_checks import Acceptance
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.simulation.imu import gain_matrix
@@ -235,7 +235,8 @@ def test_without_a_speed_and_turns_only_gravity_is_known() -> None:
 
 
 def test_fine_waits_until_the_signals_agree() -> None:
-    checks: Any = SimpleNamespace(is_mirror_excluded=True, have_agreed=False, not_checked=())
+    alternatives = SimpleNamespace(is_mirror_excluded=True, not_checked=())
+    checks: Any = SimpleNamespace(alternatives=alternatives, have_agreed=False)
     changes: Any = SimpleNamespace(is_loose=False)
     acceptance = Acceptance(
         checks,

@@ -65,7 +65,7 @@ def test_the_corrected_force_keeps_little_of_the_other_axes_whatever_the_sensor_
     ids=["one sign", "axes exchanged"],
 )
 def test_signals_that_no_sensor_fits_have_no_solution(sensor: Sensor) -> None:
-    """Exchanged axes of the gyroscope may have one; `gyro_alternatives` finds them."""
+    """Exchanged axes of the gyroscope may have one; `alternatives` finds them."""
     evidence = Evidence(Priors())
 
     def take(drive: list[Block]) -> None:

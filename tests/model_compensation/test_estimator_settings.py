@@ -65,9 +65,9 @@ def test_the_lever_arm_comes_from_the_model():
 def test_roads_that_a_model_says_are_rough_come_from_it():
     model = {"road": {"bank_rms": 0.05, "grade_rms": 0.015}}
     found = compensation_from_model(model).joint_settings(EstimatorSettings())
-    assert found.unevenness == (2.5, 1.0)
+    assert found.slope == 0.05
     model["road"]["bank"] = False
-    assert compensation_from_model(model).joint_settings(found).unevenness == (1.0, 1.0)
+    assert compensation_from_model(model).joint_settings(found).slope == 0.02
 
 
 def test_what_the_configuration_says_counts():

@@ -12,10 +12,10 @@ from test_estimator import drive, good_around
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.acceptance import WHY_GRAVITY_MOVED, Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.mount_changes import MountChanges
+from imucald.mount.signal_checks import WHY_GRAVITY_MOVED, Acceptance
 from imucald.simulation import random_model, simulate
 from mount_settings import joint_settings
 
@@ -80,7 +80,7 @@ def test_a_zero_that_steps_back_is_a_fault_no_more():
 
 
 def test_nothing_is_good_while_it_is_not_known_what_moved_gravity():
-    agreed: Any = SimpleNamespace(missing_to_be_good=lambda: None)
+    agreed: Any = SimpleNamespace(alternatives=SimpleNamespace(missing=lambda _: None))
     changes = MountChanges()
     flags = {"is_delay_beyond": False, "has_speed": True, "has_speed_now": True}
     for is_open in (True, False):

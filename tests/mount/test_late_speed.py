@@ -77,8 +77,8 @@ def test_force_and_speed_are_held_against_one_another_at_the_delay(ticks):
         p, yaw_rate = swinging(ticks)
         watch.take_block(p, yaw_rate, True, np.eye(3), 0.0, False, 0.1 * ticks)
     assert watch.faults == ()
-    assert watch.speed.agreed
-    assert watch.turns.agreed
+    assert watch.speed.pieces
+    assert watch.turns.pieces
 
 
 def test_a_late_speed_that_is_taken_as_it_comes_would_be_accused():

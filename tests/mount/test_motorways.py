@@ -10,10 +10,10 @@ import pytest
 from imucald.core.rotations import vector_from_rotation
 from imucald.motion import ticks
 from imucald.motion.column_ticks import ticks_from_samples
-from imucald.mount.block_sums import pair_sums
 from imucald.mount.contradictions import Piece
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.log_ratios import pair_sums
 from imucald.simulation import Drive, random_model, simulate
 from imucald.simulation.imu import gain_matrix
 from mount_settings import joint_settings

@@ -347,6 +347,9 @@ class KnowingTheSensor(Scripted):
     def take_known_sensor(self, known: object, is_moved: bool) -> None:
         pass
 
+    def take_stated_mount(self, R: object) -> None:
+        pass
+
 
 def knowing() -> tuple[RestoredEstimator, KnowingTheSensor]:
     inner = KnowingTheSensor()

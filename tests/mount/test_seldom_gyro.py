@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.column_ticks import ticks_from_samples
 from imucald.mount.contradictions import Contradictions, StandingFault
-from imucald.mount.gyro_walk import sampling_walk
+from imucald.mount.even_signals import sampling_walk
 from imucald.mount.hand_moves import FORCE, TurnedAlone
 from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
 from mount_settings import joint_settings

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from imucald.mount.acceptance import WHY_GRAVITY_MOVED
 from imucald.mount.alternatives import NO_TURNS
 from imucald.mount.estimate import ANGLES, Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.explanation import waiting_reasons
 from imucald.mount.hysteresis import BAD
+from imucald.mount.signal_checks import WHY_GRAVITY_MOVED
 from imucald.mount.states import MountKnowledge, waiting_for
 
 SETTINGS = EstimatorSettings()

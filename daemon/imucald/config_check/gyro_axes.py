@@ -7,7 +7,7 @@ axes with g' = -omega x g. Each order of the axes of a right-handed sensor is co
 facts, by likelihood. Offsets and accelerations due to the speed are fitted, so they have
 no effect. `fit_gyroscope` is for `init`, which does not know the unit.
 
-`tilt_ratio` judges axes in a known unit, with the judge of the daemon (`mount.gyro_alternatives`)
+`tilt_ratio` judges axes in a known unit, with the judge of the daemon (`mount.log_ratios`)
 over the whole recording. `check` asks it about the configured axes, `init` about the axes that it
 found.
 """
@@ -27,8 +27,7 @@ from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.contradictions import MOVING
-from imucald.mount.gyro_alternatives import TRIED, gyro_energies, ratios_of
-from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE
+from imucald.mount.log_ratios import MOST, TO_ACCUSE, TO_BE_FINE, TRIED, gyro_energies, ratios_of
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 WINDOW = 10

@@ -55,9 +55,6 @@ class _SignalsOnly:
     def estimate(self) -> MountEstimate:
         return MountEstimate(self.state)
 
-    def expect(self, ticks: NDArray[np.float64]) -> None:
-        self.blocks.expect(ticks)
-
     def quiet_ticks(self) -> int:
         return self.blocks.until_block - 1
 

@@ -37,10 +37,10 @@ from imucald.config_check.single_fault import explained
 from imucald.config_check.yaw_rate_check import MIN_TURNING, gain_findings, sign_findings
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
+from imucald.drive.roads import SLOPE
 from imucald.mount.alternatives import NOT_CHECKED
 from imucald.mount.contradictions import WRONG_UNIT
 from imucald.mount.mirror import AT_REST, DOUBTED, REMEDY, names_of, probability
-from imucald.mount.priors import SLOPE_STD
 from imucald.mount.stated_orientation import CLEAR as CLEAR_PART
 from imucald.mount.stated_orientation import unit_vector
 
@@ -65,7 +65,7 @@ TURNING = 0.05
 ONE_SIDED_TURNS = 5
 """A signal with at least this number of turns, all to the same side, is suspicious. By chance, five
 turns are to the same side in one of 16 drives, but then the noise about zero has both signs."""
-TWICE_SLOPES = 2.0 * SLOPE_STD
+TWICE_SLOPES = 2.0 * SLOPE
 """Twice the rms slope of roads (tangent). Steeper roads are rare, so a larger specific force along
 the road is caused by changes of speed."""
 

@@ -25,13 +25,11 @@ Axes = tuple[Array, Array, Array]
 SMOOTH_STEPS = 5
 """Number of steps over which quantities from slopes of the speed, and the lean of the road, are
 smoothed."""
-SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
-TRANSITION_S = 2.0
-"""Travel time over which superelevation is built up along a transition curve [s]: two seconds of
-travel (desirable length of a spiral, AASHTO, A Policy on Geometric Design of Highways and Streets).
-"""
-TRANSITION = np.hanning(round(TRANSITION_S / TICK_S) + 1)
+TRANSITION = np.hanning(round(2.0 / TICK_S) + 1)
 TRANSITION /= TRANSITION.sum()
+"""Weights by which superelevation is built up along a transition curve: two seconds of travel
+(desirable length of a spiral, AASHTO, A Policy on Geometric Design of Highways and Streets).
+"""
 
 
 def speed(t: Array, knots: Array, shown: Array, scale: float) -> Array:
@@ -141,7 +139,7 @@ def later(x: Array, t: Array | None, late: float) -> Array:
 
 def slow(x: Array) -> Array:
     """Return x smoothed over `SMOOTH_STEPS` steps."""
-    return np.asarray(np.convolve(x, SMOOTHER, "same"))
+    return np.asarray(np.convolve(x, np.ones(SMOOTH_STEPS) / SMOOTH_STEPS, "same"))
 
 
 def beside_wheels(v: Array, shown: Array, own: tuple[float, ...], scale: float) -> Array:

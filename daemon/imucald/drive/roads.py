@@ -7,11 +7,16 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.arrays import Array, inverse
+from imucald.core.arrays import Array, Flags, inverse
+from imucald.motion.ticks import TICK_S
 
 SLOPE, SLOPE_M = 0.02, 400.0
 """Standard deviation of a road's slope (tangent), and distance [m] between two independent slopes.
 This distance is twice the correlation length of the slope.
+
+Roads in rolling terrain have grades up to 3 to 5 %, normal cross slopes of 1.5 to 2 %, and 4 to 8 %
+in bends. Vertical curves at 50 to 100 km/h are 60 to 400 m long (AASHTO, A Policy on Geometric
+Design, ch. 3 and 4).
 """
 LONGER_ABOVE = 15.0
 """Speed [m/s] above which the length of slopes grows in proportion to the speed.
@@ -46,6 +51,12 @@ def slope_way(speed: Speed) -> Speed:
     """
     passed: Speed = abs(speed) / (1.0 + (speed / LONGER_ABOVE) ** 2) ** 0.5
     return passed
+
+
+def road_weight(speed: Array, use: Flags) -> Array:
+    """Return the weights (N,) of ticks in a mean over the road [m]. A tick at rest counts a little,
+    because a long stop is still one place. speed: (N,) [m/s]. use: (N,) flags of usable ticks."""
+    return np.asarray(slope_way(speed) * use * TICK_S + 0.05 * TICK_S * use)
 
 
 class Slopes(NamedTuple):

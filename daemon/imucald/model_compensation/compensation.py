@@ -12,6 +12,7 @@ from msgspec import structs
 
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import TEMPERATURE, Samples, Series
+from imucald.drive.roads import SLOPE
 from imucald.model.section import ZERO
 from imucald.model_compensation.lever_arm_and_suspension import VehicleCorrection
 from imucald.model_compensation.preprocessing import PreprocessingChain
@@ -182,7 +183,6 @@ class ModelCompensation:
         for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
             if channel in terms.latency:
                 delays[channel] = DelayPrior(0.0, std)
-        roads = (terms.bank_rms / settings.slope_std, terms.grade_rms / settings.slope_std)
         understeer = chassis.understeer
         return structs.replace(
             settings,
@@ -190,7 +190,7 @@ class ModelCompensation:
             crown_mean=self._crown_mean(stated),
             delays=delays,
             lever_arm=terms.lever_arm,
-            unevenness=(max(roads[0], 1.0), max(roads[1], 1.0)),
+            slope=max(SLOPE, terms.bank_rms, terms.grade_rms),
             understeer=settings.understeer if understeer is None else understeer,
         )
 

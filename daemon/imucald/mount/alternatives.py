@@ -5,7 +5,7 @@ mount, which fits the data of the first minutes. A mount is therefore not good u
 ruled out every wrong sign and every exchange of axes. Each of these alternatives is compared with
 the configuration in blocks of 6.4 s (`log_ratios`). The first kind of alternative concerns pairs of
 signals that show the same motion. The second kind concerns the axes of the gyroscope against the
-axes of the accelerometer (`gyro_alternatives`).
+axes of the accelerometer (`gyro_energies`).
 
 The second kind cannot detect two cases. In case 1, all signs of the accelerometer are inverted:
 force and rate then show the mirror image of the drive, which obeys the same physics. In case 2, the
@@ -22,14 +22,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imucald.core.arrays import Array, Flags
+from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.gyro_alternatives import LEAST_TURN, GyroAlternatives, gyro_ratios
-from imucald.mount.log_ratios import LEAST_TICKS, TO_BE_FINE, TO_BE_GOOD, Mirrored
+from imucald.mount.log_ratios import (
+    LEAST_TICKS,
+    TO_BE_FINE,
+    TO_BE_GOOD,
+    TRIED,
+    LogRatios,
+    Mirrored,
+    gyro_energies,
+    ratios_of,
+)
 from imucald.mount.signal_blocks import SignalBlock
 from imucald.mount.stated_orientation import Stated, StatedOrientation
 
@@ -39,8 +47,6 @@ YOUNG = 24
 """For this number of blocks (150 s), all stored blocks are evaluated again with each new block,
 because the rotation still changes much.
 """
-RARELY = 4
-"""Interval of the examined blocks once all alternatives are ruled out: every fourth block."""
 MAX_REVERSE = 11.0
 """Speed [m/s] that no vehicle reaches in reverse.
 
@@ -85,7 +91,7 @@ class Alternatives:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._gyro = GyroAlternatives()
+        self._gyro = LogRatios(len(TRIED) - 1)
         self._blocks = self._taken = 0
         self._turns = Mirrored(FORCE_FLOOR)
         self._yaw_rate = Mirrored(RATE_FLOOR)
@@ -141,47 +147,17 @@ class Alternatives:
         self._blocks += 1
         if R is None:
             return
-        self._ask_the_person(R)
-        ratios = None
-        if self._blocks > YOUNG:
-            ratios = self._look_for_late_change(p, R, bias, gains)
-        is_seen = self.are_seen(TO_BE_FINE) and self.is_mirror_excluded
-        if is_seen and self._blocks % RARELY:
-            return
+        self._is_up_stated = self._stated.confirms_up(R)
+        self._is_forward_stated = self._stated.confirms_forward(R)
         blocks: Sequence[SignalBlock] = (p,)
-        if self._blocks <= YOUNG and not is_seen:
+        if self._blocks <= YOUNG and not (self.are_seen(TO_BE_FINE) and self.is_mirror_excluded):
             blocks = kept
             self._gyro.forget()
             self._taken = 0
             for pair in self._pairs:
                 pair.forget()
         for one in blocks:
-            self._take(one, R, bias, gains, steering_offset, ratios)
-
-    def _look_for_late_change(
-        self, p: SignalBlock, R: Matrix3, bias: Array, gains: tuple[float, float]
-    ) -> Array | None:
-        """Look for a change in the middle of a drive: an inverted sign or exchanged axes of the
-        gyroscope.
-
-        Returns the log ratios of the gyroscope's axes, or None if the block is not suitable.
-        """
-        use = p.learn & p.ok_speed & p.ok_rate
-        turned = TICK_S * np.abs(p.rate.sum(axis=0)).max()
-        if turned <= LEAST_TURN or np.count_nonzero(use) < LEAST_TICKS:
-            return None
-        ratios = _gyro_ratios(p, R, (p.force - bias) @ R.T, gains)
-        self._gyro.add_late(ratios)
-        return ratios
-
-    def _ask_the_person(self, R: Matrix3) -> None:
-        self._is_up_stated = self._stated.confirms_up(R)
-        self._is_forward_stated = self._stated.confirms_forward(R)
-
-    def _add_heading(self, p: SignalBlock, rate: Array, use: Flags) -> None:
-        if "heading" in p.sided:  # clockwise
-            heading, known = p.sided["heading"]
-            self._heading.add_signals(TICK_S * np.cumsum(rate), -heading, use & known)
+            self._take(one, R, bias, gains, steering_offset)
 
     def _take(
         self,
@@ -190,9 +166,7 @@ class Alternatives:
         bias: Array,
         gains: tuple[float, float],
         steering_offset: float,
-        ratios: Array | None,
     ) -> None:
-        """Process a block. ratios: log ratios of the gyroscope's axes; None: not computed yet."""
         self._taken += 1
         use = p.learn & p.ok_speed
         force = (p.force - bias) @ R.T
@@ -211,9 +185,14 @@ class Alternatives:
         if "lateral_accel" in p.sided:
             lateral, known = p.sided["lateral_accel"]
             self._lateral.add_signals(p.speed * rate, lateral, fast & known)
-        self._add_heading(p, rate, fast)
+        if "heading" in p.sided:  # clockwise
+            heading, known = p.sided["heading"]
+            self._heading.add_signals(TICK_S * np.cumsum(rate), -heading, fast & known)
         if has_gyro:
-            self._gyro.add_ratios(_gyro_ratios(p, R, force, gains) if ratios is None else ratios)
+            ahead, across = force[:, 0] - gains[0] * p.accel, force[:, 1]
+            level = ahead / GRAVITY, across / GRAVITY
+            energies = gyro_energies(*level, p.rate, p.speed, R, gains[1])
+            self._gyro.add_ratios(ratios_of(energies))
 
     def are_seen(self, least: float) -> bool:
         """True if every alternative that the signals can show is ruled out by a log ratio of at
@@ -224,12 +203,10 @@ class Alternatives:
     def missing(self, least: float) -> str | None:
         """Return in words the driving that is still needed until all signals were seen to agree;
         None: no more is needed."""
-        beside = (self._lateral, self._heading)
         if self._taken > YOUNG and not (self._turns.blocks or self._gyro.blocks):
             return NO_TURNS
-        if not all(pair.is_seen(least) for pair in self._asked) or any(
-            p.is_opposite for p in beside
-        ):
+        is_opposite = min(self._lateral.sum, self._heading.sum) < -TO_BE_GOOD
+        if is_opposite or not all(pair.is_seen(least) for pair in self._asked):
             return "some bends, to check that no sign is wrong"
         if self._gyro.blocks and not self._gyro.is_seen(least):
             return (
@@ -308,10 +285,3 @@ class Alternatives:
         configuration.
         """
         return self._gyro.is_accused
-
-
-def _gyro_ratios(p: SignalBlock, R: Matrix3, force: Array, gains: tuple[float, float]) -> Array:
-    """Return the log ratios of the gyroscope's axes in a block. force: (N, 3) in the axes of R,
-    without bias."""
-    ahead = (force[:, 0] - gains[0] * p.accel) / GRAVITY
-    return gyro_ratios(ahead, force[:, 1] / GRAVITY, p.rate, p.speed, R, gains[1])

@@ -10,7 +10,7 @@ import numpy as np
 
 from imucald.core.arrays import Array, Flags
 from imucald.motion import ticks as tk
-from imucald.motion.coarse_speed import comes_in
+from imucald.motion.coarse_speed import COARSE, comes_in, stays, step_of
 from imucald.motion.signal_health import SignalHealth
 from imucald.motion.standstill import (
     DRIVING_SPEED,
@@ -20,14 +20,7 @@ from imucald.motion.standstill import (
     is_parked,
 )
 from imucald.motion.stuck import SeenForward
-from imucald.mount.even_signals import (
-    BLOCK_TICKS,
-    IN_EACH_TICK,
-    PART,
-    Driven,
-    EvenBlock,
-    bridged_speed,
-)
+from imucald.mount.even_signals import BLOCK_TICKS, PART, bridged_speed
 
 REST_TICKS = 12
 """Number of ticks with zero speed after which the vehicle is at rest: the jerk of braking is then
@@ -47,8 +40,8 @@ class BlockSpeed:
         self._reverse = 0.0
         self._rest_run = 0
         self.least = DRIVING_SPEED
-        self.knots = IN_EACH_TICK
-        """Times at which the speed of the last block is known."""
+        self.knots: Array | None = None
+        """Times (K,) at which the speed of the last block is known [s]; None: in each tick."""
         self._step = 0.0
         """Resolution step of the speed signal [m/s]; 0 until a step was seen. The step of a noisy
         signal cannot be seen."""
@@ -65,74 +58,54 @@ class BlockSpeed:
         self._is_rolling = False
 
     def speed_in_block(
-        self,
-        rows: Array,
-        t: Array,
-        at: Array,
-        even: EvenBlock | None,
-        seen: Callable[[], SeenForward | None],
-    ) -> tuple[Array, Flags, bool]:
-        """Return the speed (N + 2,) of a block, a flag for each value that is known, and whether
-        this speed equals the speed in `even`.
+        self, rows: Array, t: Array, at: Array, seen: Callable[[], SeenForward | None]
+    ) -> tuple[Array, Flags]:
+        """Return the speed (N + 2,) of a block, and a flag for each value that is known.
 
         rows: (ROWS, COLUMNS) ticks. t: end times of `rows` [s]. at: (N + 2,) times of the returned
         speed [s]. seen: gives the speed changes that the accelerometer shows, for all ticks.
         """
-        driven = None if even is None else even.driven
         stuck = self._health.stuck_speed(rows, seen)
-        is_stuck = bool(np.count_nonzero(stuck))
-        is_even = driven is not None and not is_stuck
-        is_even = is_even and not self._hides_step(rows, driven)
-        if driven is not None and is_even:
+        has = rows[:, tk.SPEED.n] > 0
+        if np.count_nonzero(has):
             self._seen.add("speed")
-            self.least = min(self.least, driven.least)
-            speed, ok, self.knots = driven.speed, driven.ok, driven.knots
-        else:
-            has = rows[:, tk.SPEED.n] > 0
-            if np.count_nonzero(has):
-                self._seen.add("speed")
-            has &= ~stuck
-            mean = rows[has, tk.SPEED.mean]
-            self._follow_least_speed(np.abs(mean))
-            times, step = t[has] - rows[has, tk.SPEED.age], 0.0
-            if self._step and comes_in(self._step, mean, rows[has, tk.SPEED.n]):
-                step = self._step
-            speed, ok, self.knots = bridged_speed(at, times, mean, step)
-        self._step = self.knots.step or self._step
+        has &= ~stuck
+        mean, is_whole = rows[has, tk.SPEED.mean], bool(has.all())
+        self._follow_least_speed(np.abs(mean))
+        step = self._step_of(mean, rows[has, tk.SPEED.n])
+        times = t[has] - rows[has, tk.SPEED.age]
+        speed, ok, self.knots = bridged_speed(at, times, mean, step, is_whole)
+        self._step = step or self._step
         if np.count_nonzero(ok):
             self._is_rolling = abs(float(speed[ok][-1])) > ROLLING_SPEED
-        elif is_stuck:
+        elif np.count_nonzero(stuck):
             self._is_rolling = True
         known = rows[:, tk.REVERSE]
-        if even is None:
-            has_reverse = bool(np.count_nonzero(~np.isnan(known)))
-            is_reverse = bool(np.count_nonzero(known > 0.5))
-        else:
-            has_reverse, is_reverse = even.has_reverse, even.is_reverse
-        if has_reverse:
+        if not np.isnan(known).all():
             self._seen.add("reverse")
-        if self._reverse or is_reverse:
+        if self._reverse or np.count_nonzero(known > 0.5):
             reverse = self._held(known)[PART]
-            return np.where(reverse > 0.5, -speed, speed), ok, False
-        return speed, ok, is_even
+            return np.where(reverse > 0.5, -speed, speed), ok
+        return speed, ok
 
-    def _hides_step(self, rows: Array, driven: Driven | None) -> bool:
-        """True if the step of the speed signal is known from earlier blocks and does not show in
-        this block."""
-        if driven is None or driven.knots.step >= self._step:
-            return False
-        return comes_in(self._step, rows[:, tk.SPEED.mean], rows[:, tk.SPEED.n])
+    def _step_of(self, mean: Array, counts: Array) -> float:
+        """Return the resolution step of the speeds (M,) of a block; 0: not coarse.
 
-    def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> bool:
+        The step that earlier blocks showed may not show in this block.
+        """
+        own = step_of(mean) if len(mean) and stays(mean[None])[0] else 0.0
+        own = own if own >= COARSE else 0.0
+        return self._step if own < self._step and comes_in(self._step, mean, counts) else own
+
+    def silence_parked(self, speed: Array, ok: Flags, force: Array, rate: Array | None) -> None:
         """Set the speed to zero if it is noise and the sensor is as still as in a parked vehicle.
 
-        Returns True if the speed was changed. Wheel sensors may send no pulses below
-        `DRIVING_SPEED`, so a vehicle that creeps slower than this counts as resting.
+        Wheel sensors may send no pulses below `DRIVING_SPEED`, so a vehicle that creeps slower than
+        this counts as resting.
         """
         sizes = np.abs(speed)
         if self._reverse or not ok.all() or sizes.min() > ROLLING_SPEED:
-            return False
-        is_silenced = False
+            return
         end = len(speed) - 1
         for first in range(1, end, STEADY_TICKS):
             part = slice(first, first + STEADY_TICKS)
@@ -140,8 +113,6 @@ class BlockSpeed:
                 continue
             if is_parked(force[part], None if rate is None else rate[part]).all():
                 speed[first - (first == 1) : part.stop + (part.stop == end)] = 0.0
-                is_silenced = True
-        return is_silenced
 
     def _follow_least_speed(self, sizes: Array) -> None:
         """Update the smallest speed that was seen.
@@ -169,11 +140,6 @@ class BlockSpeed:
                 self._reverse = value
         return out
 
-    def no_rest(self) -> Flags:
-        """Return flags (N,) for a block without rest, and reset the count of resting ticks."""
-        self._rest_run = 0
-        return np.zeros(BLOCK_TICKS, dtype=bool)
-
     def rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
         """Return flags for the ticks at rest: the speed is zero, or the force is still where the
         speed is unknown.
@@ -185,7 +151,8 @@ class BlockSpeed:
         if np.count_nonzero(ok):
             still = ok & (np.abs(speed) < ZERO_SPEED)
         elif self._is_rolling:
-            return self.no_rest()
+            self._rest_run = 0
+            return rest
         else:
             still = is_parked(force, rate if ok_rate.any() else None)
         run = self._rest_run

@@ -18,7 +18,6 @@ from __future__ import annotations
 import enum
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +26,8 @@ from imucald.core.arrays import Array, Flags, median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.alternatives import MAX_REVERSE, RATE_FLOOR
-from imucald.mount.block_sums import PairSums, pair_sums
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.log_ratios import PairSums, pair_sums
 from imucald.mount.signal_blocks import SignalBlock
 
 UNLIKE = 0.3
@@ -140,10 +139,6 @@ WORDS = {
 }
 
 
-_YAW_RATE, _STEERING, _FORCES = 1, 2, 4
-"""Bit flag for each pair of signals that is checked in a block."""
-
-
 class Piece(NamedTuple):
     """Two signals x and y in a piece of the drive: their correlation and two slopes.
 
@@ -206,52 +201,22 @@ class PairWatch:
         return len(self._pieces)
 
     @property
-    def last_unlike(self) -> bool:
-        """True if the two signals do not fit each other in the last piece."""
-        return bool(self._pieces) and self._is_wrong(self._pieces[-1])
-
-    @property
-    def agreed(self) -> bool:
-        """True if the two signals showed the same motion in the last piece and there is no
-        fault."""
-        if self.accused or self.odd_gain or not self._pieces:
-            return False
-        last = self._pieces[-1]
-        return last.correlation >= LIKE and not self._is_odd(last)
-
-    @property
-    def share(self) -> float:
-        """Collected share (0 to 1) of the energy for the next piece; 1 once the pair has agreed."""
-        return 1.0 if self.agreed else min(max(self._energy(self._held), 0.0) / self._least, 1.0)
-
-    @property
     def gain(self) -> float:
         """Median of the gains of the stored pieces."""
         return median([piece.slope for piece in self._pieces]) if self._pieces else 1.0
 
-    def _energy(self, sums: PairSums) -> float:
-        """Return the energy of motion in the first signal."""
-        return sums.xx - sums.ticks * self._noise**2
-
-    @property
-    def _held(self) -> PairSums:
-        return self._sums.centred() if self._has_zero else self._sums
-
     def add_signals(self, x: Array, y: Array, use: Flags) -> None:
         """Process a block. x: (N,) the reliable signal. y: (N,) the signal that must follow x."""
-        self.add_sums(pair_sums(x, y, use))
-
-    def add_sums(self, sums: PairSums) -> None:
-        """Add the sums of a block."""
+        sums = pair_sums(x, y, use)
         if not sums.ticks:
             return
         self._sums = PairSums(*(a + b for a, b in zip(self._sums, sums, strict=True)))
         self._blocks += 1
-        held = self._held
+        held = self._sums.centred() if self._has_zero else self._sums
         if not math.isfinite(held.xx + held.yy):
             self._sums = PairSums()
             return
-        is_complete = self._energy(held) >= self._least
+        is_complete = held.xx - held.ticks * self._noise**2 >= self._least
         if is_complete:
             self._pieces.append(Piece.of(held))
             self._judge()
@@ -326,32 +291,30 @@ class Contradictions:
         not checked.
         """
         self.reverse.add_speed(p.speed, p.ok_speed)
-        walk = 0.0
-        asked = _YAW_RATE * (own_gyro and measured_yaw_rate)
-        asked += _STEERING * (own_gyro or measured_yaw_rate)
-        if R is not None and late is not None:
-            asked += _FORCES
-            up = np.asarray(R)[2]
-            walk = math.sqrt(float(up @ p.rate_walk @ up) / TICK_S) if own_gyro else 0.0
-        s, v = self._settings, self._settings.vehicle
-        vehicle = v.steering_ratio, v.wheelbase, s.understeer
-        ticks = 0 if late is None else round(late / TICK_S)
-        yaw_rate, steering, *forces = _sums_of_pairs(
-            p,
-            turn_rate,
-            asked,
-            steering_offset,
-            vehicle,
-            _NO_MOUNT if R is None else R,
-            walk,
-            ticks,
-        )
-        self.yaw_rate.add_sums(yaw_rate)
-        self.steering.add_sums(steering)
-        if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
-            self.yaw_rate.accused = self.steering.accused = True
-        for pair, sums in zip((self.turns, self.hard_turns, self.speed), forces, strict=True):
-            pair.add_sums(sums)
+        moving = p.ok_speed & (np.abs(p.speed) > MOVING)
+        if own_gyro and measured_yaw_rate:
+            self.yaw_rate.add_signals(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)
+        if own_gyro or measured_yaw_rate:
+            s, v = self._settings, self._settings.vehicle
+            vehicle = v.steering_ratio, v.wheelbase, s.understeer
+            steered = yaw_rate_with_understeer(p.speed, p.steering - steering_offset, *vehicle)
+            use = p.ok_steering & moving & (p.ok_rate | p.ok_yaw)
+            self.steering.add_signals(steered, turn_rate, use)
+        if R is None or late is None:
+            return
+        ticks, n = round(late / TICK_S), len(turn_rate)
+        now = slice(max(-ticks, 0), n - max(ticks, 0))
+        then = slice(max(ticks, 0), n - max(-ticks, 0))
+        ahead, across = R[:2] @ p.force[now].T
+        use = moving[then] & (p.ok_force & p.learn)[now]
+        change = p.accel[then]
+        self.speed.add_signals(change - change.mean(), ahead - ahead.mean(), use)
+        turn, use = p.speed[then] * turn_rate[now], use & (p.ok_rate | p.ok_yaw)[now]
+        walk = math.sqrt(float(R[2] @ p.rate_walk @ R[2]) / TICK_S) if own_gyro else 0.0
+        noise = NOISE * max(_own_noise(turn_rate), walk) * float(np.abs(p.speed).max())
+        for pair, least in ((self.turns, TURNS), (self.hard_turns, HARD_TURNS)):
+            if noise < least:
+                pair.add_signals(turn, across, use & (np.abs(turn) > least))
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:
@@ -376,83 +339,6 @@ class Contradictions:
         elif self.speed.odd_gain and self.speed.gain > 1.0:
             found.append(StandingFault.SPEED_GAIN)
         return tuple(found)
-
-    @property
-    def _pairs(self) -> tuple[PairWatch, ...]:
-        return self.yaw_rate, self.steering, self.turns, self.hard_turns, self.speed
-
-    @property
-    def doubtful(self) -> bool:
-        """True if the two signals of any pair do not fit each other in the last piece.
-
-        The mount cannot become good at such a time.
-        """
-        return any(pair.last_unlike for pair in self._pairs)
-
-    @property
-    def agreed(self) -> bool:
-        """True if all pairs of signals that show turns agreed when they were last compared.
-
-        A pair is compared in pieces of driving with enough turns. A pair without a piece so far
-        does not count: `alternatives` judges it, also by small turns. The pair of dv/dt and forward
-        force does not count either, because slopes and a speed with few samples may hide dv/dt.
-        """
-        return all(pair.agreed for pair in self._asked)
-
-    @property
-    def share(self) -> float:
-        """Collected share (0 to 1) of the evidence that `agreed` needs."""
-        return min((pair.share for pair in self._asked), default=1.0)
-
-    @property
-    def _asked(self) -> list[PairWatch]:
-        return [pair for pair in (self.turns, self.yaw_rate, self.steering) if pair.pieces]
-
-
-_NO_MOUNT = np.zeros((3, 3))
-
-
-def _sums_of_pairs(
-    p: SignalBlock,
-    turn_rate: Array,
-    asked: int,
-    steering_offset: float,
-    vehicle: tuple[float, float, float],
-    R: Array,
-    walk: float,
-    late: int,
-) -> Sequence[PairSums]:
-    """Return the sums of a block for five pairs: yaw rate, steering, turns, hard turns and speed. A
-    pair that is not checked has zeros.
-
-    vehicle: steering ratio, wheelbase and understeer. R: the mount. walk: noise of the turn rate
-    [rad/s] that the rate itself does not show. late: delay of the speed against the force [ticks of
-    0.1 s].
-    """
-    found = [PairSums()] * 5
-    moving = p.ok_speed & (np.abs(p.speed) > MOVING)
-    if asked & _YAW_RATE:
-        found[0] = pair_sums(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)
-    if asked & _STEERING:
-        steered = yaw_rate_with_understeer(p.speed, p.steering - steering_offset, *vehicle)
-        found[1] = pair_sums(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
-    if not asked & _FORCES:
-        return found
-    n = len(turn_rate)
-    now = slice(max(-late, 0), n - max(late, 0))
-    then = slice(max(late, 0), n - max(-late, 0))
-    x, y, z = p.force[now].T
-    ahead, across = (x * r[0] + y * r[1] + z * r[2] for r in R[:2])
-    use = moving[then] & (p.ok_force & p.learn)[now]
-    turn = p.speed[then] * turn_rate[now]
-    turning = use & (p.ok_rate | p.ok_yaw)[now]
-    noise = NOISE * max(_own_noise(turn_rate), walk) * float(np.abs(p.speed).max())
-    for k, least in ((2, TURNS), (3, HARD_TURNS)):
-        if noise < least:
-            found[k] = pair_sums(turn, across, turning & (np.abs(turn) > least))
-    change, count = p.accel[then], len(ahead)
-    found[4] = pair_sums(change - change.sum() / count, ahead - ahead.sum() / count, use)
-    return found
 
 
 def _own_noise(signal: Array) -> float:

@@ -21,6 +21,7 @@ import numpy as np
 from msgspec import Struct
 
 from imucald.core.arrays import Array, Flags
+from imucald.mount.joint.response import PRIOR_SEGMENTS
 
 SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
 """Sizes of a random walk, as standard deviation of a step [rad/segment], and of steady creep, as
@@ -47,10 +48,6 @@ LATE = 0.5
 """Mean age of a reported value, in segments. The value is valid for the middle of a segment, half a
 segment ago, and is reported until the next segment ends.
 """
-PRIOR_SEGMENTS = 6.0
-"""Weight of the prior for the spread between segments: the prior counts as this number of segments.
-
-The prior is the variance that the source itself states."""
 HIDDEN = 0.4
 """Share of a drift that the segments may not show.
 
@@ -59,23 +56,6 @@ reduces the estimated level most where the drift is largest. In simulated drives
 (seeds 500,000 to 500,011), the fit found 0.6 of the level with weights about the drift, and 0.5
 with weights about the mean.
 """
-EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
-"""Sources whose errors hardly depend on the road.
-
-If the spread of such a source about the mean is larger than the spread between neighbouring
-segments, the mount drifts. The lean of roads, in contrast, persists over several segments.
-"""
-YAW = frozenset({"yaw_dvdt", "yaw_turn"})
-"""Sources of the yaw angle."""
-TOGETHER = 7
-"""Number of segments (3 min) over which each source of yaw is averaged before the sources are
-compared."""
-LEANING = "roll_gravity"
-"""Source whose error is the lean of the road. The persistence of the lean differs from road to
-road, so it is estimated from the segments.
-"""
-SILENT = frozenset({"pitch_gravity", "pitch_axis"})
-"""Sources that differ too much between town and motorway to separate creep from the road."""
 
 
 class SegmentSeries(Struct, frozen=True):
@@ -102,8 +82,7 @@ class Creep(Struct, frozen=True):
 
     level: present angle minus the constant [rad]. variance: variance that creep adds [rad^2].
     probability: probability that the mount creeps. rate: rate of change [rad/segment]. moved:
-    change of the fitted line over the whole drive [rad]. since_middle: number of segments since the
-    fitted line was equal to the constant.
+    change of the fitted line over the whole drive [rad].
     """
 
     level: Array
@@ -111,7 +90,6 @@ class Creep(Struct, frozen=True):
     probability: Array
     rate: Array
     moved: Array
-    since_middle: Array
 
 
 def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep | None:
@@ -126,11 +104,8 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
     if n < FEWEST:
         return None
     left, known = np.zeros((3, n)), np.zeros((3, n))
-    weighed = [(one, _times(one)) for one in series if one.kind not in SILENT]
-    apart = _apart([both for both in weighed if both[0].kind in YAW])
-    for one, alone in weighed:
-        times = alone * (apart if one.kind in YAW else 1.0)
-        m = len(one.left)
+    for one in series:
+        m, times = len(one.left), _times(one)
         left[one.axis, n - m :] += one.left / times
         known[one.axis, n - m :] += one.known / times
     joined = np.arange(min(n, MOST)) * n // min(n, MOST)
@@ -147,67 +122,23 @@ def creep(series: Sequence[SegmentSeries], chance: float, shifts: int) -> Creep 
     level = (weight * mean).sum(axis=1)
     hidden = (HIDDEN * mean) ** 2
     extra = (weight * (variance + hidden + (mean - level[:, None]) ** 2)).sum(axis=1)
-    rate, moved, since_middle = _trend(left, known, each)
-    return Creep(level, extra, probability, rate, moved, since_middle)
+    rate = _trend(left, known, each)
+    return Creep(level, extra, probability, rate, rate * float(n))
 
 
 def _times(one: SegmentSeries) -> float:
-    """Return the factor by which the information of a series is too large."""
-    times = max(one.variance * float(one.known.sum()), 1.0)
-    if one.kind in EVEN:
-        return min(times, _scatter(one.left, one.known))
-    return _lean(one.left, one.known, times) if one.kind == LEANING else times
+    """Return the factor by which the information of a series is too large. The factor may be less
+    than 1, because it is estimated from the segments.
 
-
-def _apart(of_yaw: Sequence[tuple[SegmentSeries, float]]) -> float:
-    """Return the ratio of the difference between the two sources of yaw to its expected size,
-    squared; at least 1.
-
-    Creep of the mount changes both sources equally. The difference between the two sources
-    therefore shows errors that last for minutes. of_yaw: each source, and the factor by which its
-    information is too large.
-    """
-    if len(of_yaw) < len(YAW) or len({len(one.left) for one, _ in of_yaw}) > 1:
-        return 1.0
-    starts = np.arange(0, len(of_yaw[0][0].left), TOGETHER)
-    (a, n), (b, m) = (
-        (np.add.reduceat(x, starts) / times for x in (one.left, one.known)) for one, times in of_yaw
-    )
-    use = (n > 0.0) & (m > 0.0)
-    a, n, b, m = (x[use] for x in (a, n, b, m))
-    squares = float(np.square(a / n - b / m) @ (1.0 / (1.0 / n + 1.0 / m)))
-    return max((PRIOR_SEGMENTS + squares) / (PRIOR_SEGMENTS + len(n)), 1.0)
-
-
-def _scatter(left: Array, known: Array) -> float:
-    """Return the factor by which the information is too large, from the differences between a
-    segment and the next but one.
-
-    A window reaches into the next segment, so neighbouring segments are not compared. A drift is
-    small over two segments. The variance that a source states is not used here, because a drift
-    enlarges it.
-    """
-    near, far = known[2:], known[:-2]
-    both = (near > 0.0) & (far > 0.0)
-    near, far = near[both], far[both]
-    change = left[2:][both] / near - left[:-2][both] / far
-    squares = change * change / (1.0 / near + 1.0 / far)
-    apart = (PRIOR_SEGMENTS + float(squares.sum())) / (PRIOR_SEGMENTS + len(squares))
-    return max(apart, 1.0)
-
-
-def _lean(left: Array, known: Array, expected: float) -> float:
-    """Return the factor by which the information is too large if the errors persist over several
-    segments, as a drift does.
-
-    The factor may be less than 1 because it is estimated from the segments themselves. expected:
-    factor before any data, with the weight `PRIOR_SEGMENTS`. The calculation uses the residuals
-    about a straight line and the covariance of neighbouring segments (Newey and West, Econometrica
-    55, 1987, with their weights and 4 (n / 100)^(2/9) lags). The covariance can only increase the
+    The prior is the factor that follows from the variance that the source states. The calculation
+    uses the residuals about a straight line and the covariance of neighbouring segments (Newey and
+    West, Econometrica 55, 1987, with their weights and 4 (n / 100)^(2/9) lags), because errors of
+    a road persist over several segments, as a drift does. The covariance can only increase the
     factor.
     """
-    use = known > 0.0
-    w, score = known[use], left[use]
+    expected = max(one.variance * float(one.known.sum()), 1.0)
+    use = one.known > 0.0
+    w, score = one.known[use], one.left[use]
     n = len(w)
     if n < FEWEST:
         return expected
@@ -217,14 +148,12 @@ def _lean(left: Array, known: Array, expected: float) -> float:
     u = (score - w * slope * from_middle) / np.sqrt(w)
     lags = int(4.0 * (0.01 * n) ** (2.0 / 9.0))
     own = float(u @ u)
-    beside = math.fsum(
+    near = math.fsum(
         2.0 * (1.0 - lag / (lags + 1.0)) * float(u[lag:] @ u[:-lag])
         for lag in range(1, min(lags, n - 1) + 1)
     )
-    free = n - 2.0
-    return (PRIOR_SEGMENTS * expected + max(own + beside, own) * n / max(free, 1.0)) / (
-        PRIOR_SEGMENTS + n
-    )
+    squares = max(own + near, own) * n / max(n - 2.0, 1.0)
+    return (PRIOR_SEGMENTS * expected + squares) / (PRIOR_SEGMENTS + n)
 
 
 def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
@@ -307,16 +236,11 @@ def _go_on(state: Array, P: Array, step: Array) -> None:
     P[1] = after
 
 
-def _trend(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
-    """Return the slope of the straight line through the segments [rad/segment], the total change of
-    the line, and the number of segments since the line was zero.
-    """
+def _trend(left: Array, known: Array, each: Array) -> Array:
+    """Return the slope (3,) of the straight line through the segments [rad/segment]."""
     at = np.cumsum(each) - 0.5 * each
     w = np.maximum(known, 0.0)
-    total = np.maximum(w.sum(axis=1), 1e-12)
-    middle = (w @ at) / total
+    middle = (w @ at) / np.maximum(w.sum(axis=1), 1e-12)
     from_middle = at - middle[:, None]
     power = np.maximum((w * from_middle**2).sum(axis=1), 1e-12)
-    slope: Array = (left * from_middle).sum(axis=1) / power
-    n = math.fsum(each.tolist())
-    return slope, slope * n, n - middle
+    return np.asarray((left * from_middle).sum(axis=1) / power)

@@ -353,13 +353,6 @@ class KeepsTicks(Protocol):
     The result equals the result of `step` tick by tick, to the last bit.
     """
 
-    def expect(self, ticks: NDArray[np.float64]) -> None:
-        """Prepare the next ticks (n, COLUMNS) together, which makes some of the work faster.
-
-        The caller must still pass these ticks to `step` or `keep_quiet`, unless time jumps before.
-        """
-        ...
-
     def quiet_ticks(self) -> int:
         """Return the number of next ticks that change neither correction, state nor estimate."""
         ...

@@ -42,7 +42,6 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive.unknown_speed import Steered
 from imucald.motion.ticks import TickRow
-from imucald.mount.acceptance import Acceptance
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.creep import Creep
@@ -62,10 +61,10 @@ from imucald.mount.hand_moves import YAW, HandMove
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.joint.drift import LOG_ONSETS, NAMED, Drift
 from imucald.mount.joint.drift import NONE as NO_DRIFT
-from imucald.mount.joint.evidence import MIDDLES, NO_ZERO, Block, Evidence, Solution
+from imucald.mount.joint.evidence import MIDDLES, Block, Evidence, Solution
 from imucald.mount.joint.known import CHANCE_AS_BEFORE, KnownSensor
 from imucald.mount.joint.moves import Move
-from imucald.mount.joint.state import PHI, OtherSignals, Priors
+from imucald.mount.joint.state import PHI, ZERO_VECTOR, OtherSignals, Priors
 from imucald.mount.joint.sudden_changes import TURNED_STD
 from imucald.mount.mount_changes import (
     ALERT_DEVIATIONS,
@@ -85,7 +84,7 @@ from imucald.mount.signal_blocks import (
     SignalBlock,
     SignalBlockMaker,
 )
-from imucald.mount.signal_checks import SignalChecks
+from imucald.mount.signal_checks import Acceptance, SignalChecks
 from imucald.mount.states import Manoeuvres, MountKnowledge
 from imucald.mount.steering import SteeringOffsetEstimator
 
@@ -95,15 +94,10 @@ OPEN_BLOCKS = 20
 """Number of blocks (2 min) after which new evidence decides the cause of a sudden change. After
 this time, the filter has absorbed the change.
 """
-FAILED_BLOCKS = 14
-"""Number of blocks (90 s) for which numbers out of range remain reported after their last
-occurrence.
-"""
 MINUTE_BLOCKS = 10
-"""Number of blocks (a minute) that decide which conditions are missing. A condition that fails in a
-single block is usually met again soon.
+"""Number of blocks (a minute) that decide which conditions are missing. Numbers out of range remain
+reported as long. A condition that fails in a single block is usually met again soon.
 """
-TURNING = frozenset({"yaw_rate", "steering"})
 FROZEN_TICKS = 40
 """Number of ticks of a block that are not trusted, from which learning counts as frozen."""
 SOLUTIONS_KEPT = 32
@@ -214,10 +208,6 @@ class JointEstimator:
             self._take_block(self._signals.block())
             self._estimate = None
 
-    def expect(self, ticks: Array) -> None:
-        """Prepare the next ticks (n, COLUMNS), see `mount.estimate.KeepsTicks`."""
-        self._signals.expect(ticks)
-
     def quiet_ticks(self) -> int:
         """Number of next ticks that are only stored, see `mount.estimate.KeepsTicks`."""
         return 0 if self._served.is_turning else self._signals.until_block - 1
@@ -266,6 +256,7 @@ class JointEstimator:
         return Priors(
             cross_axis=((configured, 1.0),) if configured else usual.cross_axis,
             zero=max(usual.zero, s.calibration.accelerometer_bias),
+            slope=s.slope,
             crown=(s.crown, s.vehicle.crown_std),
         )
 
@@ -322,7 +313,7 @@ class JointEstimator:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
                 self._learn_from(p)
         except (np.linalg.LinAlgError, ArithmeticError):
-            self._failed_for = FAILED_BLOCKS
+            self._failed_for = MINUTE_BLOCKS
             self._begin_without_rotation()  # impossible numbers are in the evidence
         self._judge(p)
 
@@ -338,7 +329,7 @@ class JointEstimator:
         if carried.R is not None:
             turned = changes.at_once(p, carried, signals, is_watched)
         if turned is not None or self._is_gravity_open:  # no sign and no unit is contradicted
-            self._checks.forget_forces()
+            self._checks.contradictions.forget_forces()
         checked = p, carried, signals, self._kept, self._fits_no_sensor
         if turned is None and self._checks.take_block(*checked):
             self._begin_without_rotation([p])
@@ -387,7 +378,7 @@ class JointEstimator:
             self._forget_moves()
             self._changes.know_borne()
         if self._carried.follow(self._joint):
-            self._checks.forget_forces()  # the forces showed another rotation
+            self._checks.contradictions.forget_forces()  # the forces showed another rotation
 
     def _follow_signals(self) -> None:
         """Begin new evidence with all signals that are now available, and use the stored blocks
@@ -583,7 +574,6 @@ class JointEstimator:
         self._begin_afresh(blocks)
 
     def _begin_afresh(self, blocks: Iterable[SignalBlock]) -> None:
-        """Begin again from these blocks."""
         kept = list(blocks)
         self._served.has_moved = True
         self._changes.restart()
@@ -681,7 +671,7 @@ class JointEstimator:
             return
         x, y, z = (R @ self._stepped).tolist()
         if self._is_usable(self.solution):
-            before = NO_ZERO if self._before_step is None else self._before_step.bias
+            before = ZERO_VECTOR if self._before_step is None else self._before_step.bias
             x, y, _ = (R @ (self._joint.bias - before)).tolist()
         if abs(z) > NAMED:
             yield StandingFault.ACCEL_LEVEL
@@ -700,7 +690,6 @@ class JointEstimator:
         self._checks.hold_against_orientation(R, is_yaw_known, self._signals.blocks)
 
     def _good_mount(self) -> GoodMount | None:
-        """Return the present good mount, or None."""
         good = self._served.good
         return None if good is None else GoodMount(good.rotation, self._stated())
 
@@ -737,7 +726,6 @@ class JointEstimator:
         return yaw < limits.usable_yaw and max(roll, pitch) < limits.usable_tilt
 
     def _knowledge(self, p: SignalBlock) -> MountKnowledge:
-        """Return the knowledge after a block."""
         frozen = ~p.learn & p.ok_force
         self._lately.append(tuple(map(np.count_nonzero, (p.ok_force, p.ok_speed, frozen))))
         lately, has_speed = self._lately, not self._signals.without_speed
@@ -753,7 +741,7 @@ class JointEstimator:
             speed=has_speed and any(ok for _, ok, _ in lately),
             speed_hz=hz if has_speed else 0.0,
             frozen=lately[-1][2] >= FROZEN_TICKS,
-            turning=carried.own_gyro or bool(self._signals.seen & TURNING),
+            turning=carried.own_gyro or bool(self._signals.seen & {"yaw_rate", "steering"}),
             has_gyro=self._joint.signals.gyro,
             without_speed=not has_speed,
         )
@@ -858,7 +846,7 @@ class JointEstimator:
         If the estimate agrees with this mount, the statement excludes alternatives that no signal
         can exclude.
         """
-        self._checks.take_mount(R)
+        self._checks.alternatives.take_mount(R)
 
 
 def _is_solved(evidence: Evidence) -> bool:
@@ -872,7 +860,6 @@ def _is_solved(evidence: Evidence) -> bool:
 
 
 def _good_mount_of(solution: Solution) -> GoodMount:
-    """Return the mount of a solution."""
     own = tuple(np.sqrt(solution.covariance[PHI, PHI].diagonal()).tolist())
     return GoodMount(Correction.turning(solution.housing).rotation, own)
 

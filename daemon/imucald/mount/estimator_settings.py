@@ -1,6 +1,6 @@
 """Settings of the joint estimator about sensor, vehicle and road: priors, limits, delays.
 
-The intervals of the estimate depend on these values. `priors` gives the source of each value.
+The intervals of the estimate depend on these values. `joint.state.Priors` gives sources.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.default_vehicle import UNDERSTEER
 from imucald.core.samples import GRAVITY
+from imucald.drive.roads import SLOPE
 from imucald.mount.estimate import Targets
-from imucald.mount.priors import SLOPE_LENGTH, SLOPE_STD
 
 
 class DelayPrior(Struct, frozen=True):
@@ -106,14 +106,8 @@ class EstimatorSettings(MountSettings, frozen=True):
     )
     """Limits of the cross-talk xy and yx, as a yaw angle, and of the level zero, as a tilt."""
 
-    slope_std: float = SLOPE_STD
-    """Road slope along the vehicle, and across it about the mean lean, rms tangent."""
-    slope_length: float = SLOPE_LENGTH
-    """Correlation length of the slope along the road [m]."""
-    unevenness: tuple[float, float] = (1.0, 1.0)
-    """Factors on `slope_std` for the tangents across and along the road. A model file states these
-    values if the roads are more uneven. The tests for a moved sensor use these factors.
-    """
+    slope: float = SLOPE
+    """Prior deviation of the roads' slopes (tangent). A model file may state steeper roads."""
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(), "yaw_rate": DelayPrior(0.05, 0.1)}
     )

@@ -21,7 +21,6 @@ from msgspec import Struct
 from imucald.core.arrays import Array
 from imucald.drive import windows as wd
 from imucald.motion.ticks import TICK_S
-from imucald.mount.acceptance import Acceptance
 from imucald.mount.carried_force import CarriedForce
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.creep import BELIEVED, Creep
@@ -32,7 +31,7 @@ from imucald.mount.joint.response import SEGMENTS
 from imucald.mount.mount_changes import GoodMount, MountChanges, TakenChange
 from imucald.mount.mount_words import SD_95, VEHICLE_AXES
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
-from imucald.mount.signal_checks import SignalChecks
+from imucald.mount.signal_checks import Acceptance, SignalChecks
 from imucald.mount.states import NEEDED, MountKnowledge, waiting_for
 
 
@@ -156,7 +155,7 @@ def estimate_details(
         ],
         "creep": creep_details(creep),
         "faults": [{"t": block * BLOCK_S, "fault": fault.value} for block, fault in checks.history],
-        "not_checked": list(checks.not_checked),
+        "not_checked": list(checks.alternatives.not_checked),
         "frozen_ticks": {
             signal: {fault.value: n for (of, fault), n in counts.items() if of == signal}
             for signal in dict.fromkeys(of for of, _ in counts)
@@ -239,7 +238,6 @@ stops of all kinds."""
 LONGEST_S = 3600.0
 """Longest remaining time that is reported [s]. With a longer time, the evidence has almost stopped
 growing."""
-GOALS = (MountState.USABLE, MountState.FINE)
 FIRST_S = (wd.WINDOW + wd.BLOCK) * TICK_S
 """Duration of signals that a first solution needs [s]: two windows."""
 FIRST = "first solution (acceleration, braking, bends)"
@@ -269,7 +267,7 @@ class ProgressWatch:
                 **_of_angles(known, settings, goal),
                 **acceptance.shares(goal is MountState.FINE),
             }
-            for goal in GOALS
+            for goal in (MountState.USABLE, MountState.FINE)
         }
         self._lately.append((t, shares))
 

@@ -13,6 +13,7 @@ from imucald.core.orientation_words import leaning_words, sits_words, steep_word
 from imucald.mount.contradictions import WORDS
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.hysteresis import SLACK
+from imucald.mount.signal_blocks import NO_SAMPLES
 
 SD_95 = 2.0
 """Half of a 95 % interval, in standard deviations. All texts for people use this half interval
@@ -44,7 +45,6 @@ SENSOR_NAMES = {"accel": "accelerometer", "gyro": "gyroscope"}
 """Channels that have another name in texts for people."""
 SHOWN_AS_SECONDS = 45.0
 """Shortest time that is shown in minutes [s]."""
-LEAST_LEFT_OUT_S = 1.0
 LEAST_SHOWN_DEG = 0.1
 """Smallest rotation [deg] that is shown as a number. A smaller rotation would be rounded to
 zero."""
@@ -53,9 +53,6 @@ UPSIDE_DOWN = (
     "{orientation: {up: AXIS}}'. If not, its accelerometer has inverted signs: set 'sign: "
     "-1' on its axes"
 )
-STATED_WRONG = "the stated mount does not fit this drive"
-SAVED_WRONG = "the mount of an earlier drive does not fit this drive"
-"""Text for the mount of an earlier drive that this drive contradicts."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """Standard deviation [deg] above which an angle counts as unknown."""
 UNKNOWN_HALF_DEG = SD_95 * UNKNOWN_STD_DEG
@@ -251,7 +248,9 @@ def contradicted_words(turned_deg: float | None, is_given: bool = True) -> str:
     turned_deg: rotation between this mount and the drive's own mount [deg]; None if the drive has
     no mount of its own.
     """
-    text = STATED_WRONG if is_given else SAVED_WRONG
+    text = (
+        f"the {'stated mount' if is_given else 'mount of an earlier drive'} does not fit this drive"
+    )
     if turned_deg is None:
         return f"{text}: gravity would be tilted more than on any road"
     return f"{text}: it is off by {turned_deg:.0f} deg"
@@ -262,20 +261,16 @@ def doubt_words(waiting_for: Mapping[str, str]) -> str:
     return "; ".join(text for _, text in reasons(waiting_for) if is_trouble(text))
 
 
-NO_SAMPLES = "no valid samples"
-CAUSES_LEFT_OUT = {"speed_jump": "jumps"}
-
-
 def left_out_words(details: Mapping[str, Any]) -> str:
     """Return in words the time that was not used, by signal and cause: `869 s (no valid
     accelerometer sample)`. Times of less than a second are left out."""
     parts = []
     for one in details.get("not_learnt_from", ()):
-        if one["seconds"] >= LEAST_LEFT_OUT_S:
+        if one["seconds"] >= 1.0:
             signal = str(one["signal"])
             signal = SENSOR_NAMES.get(signal, signal.replace("_", " "))
             cause = str(one["cause"])
-            words = CAUSES_LEFT_OUT.get(cause, cause.replace("_", " "))
+            words = "jumps" if cause == "speed_jump" else cause.replace("_", " ")
             why = f"no valid {signal} sample" if cause == NO_SAMPLES else f"{signal} {words}"
             parts.append(f"{one['seconds']:.0f} s ({why})")
     return ", ".join(parts)

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, times
 from imucald.core.samples import GRAVITY
 from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
-from imucald.mount.block_sums import masked_sums
 from imucald.mount.estimate import Correction
 from imucald.mount.signal_blocks import SignalBlock
 
@@ -27,11 +28,8 @@ The steepest street has a slope of 35 % (19.3 deg, Baldwin Street). The remainin
 the error of a mount that was levelled on a slope.
 """
 
-LEAST_TICKS = 32
-"""Smallest number of good ticks in a usable block: half of all ticks."""
-STANDING_TICKS = 32
-DRIVING_TICKS = 256
-_COS = math.cos(MAX_OFF_VERTICAL)
+LEAST_TICKS, DRIVING_TICKS = 32, 256
+"""Number of ticks that are enough while standing or in a block, and while driving."""
 
 
 def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
@@ -42,16 +40,14 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     turns, a block of driving is not judged, because its bend may be arbitrarily sharp.
     """
     use = p.ok_force & (p.ok_rate | p.ok_yaw | p.rest)
-    n, *sums = masked_sums(p.force, use)
-    if n < LEAST_TICKS:
+    if np.count_nonzero(use) < LEAST_TICKS:
         return False
-    u, v, w = (x / n for x in sums)
-    x, y, z = (a * u + b * v + c * w for a, b, c in R.tolist())
+    x, y, z = (R @ p.force[use].mean(axis=0)).tolist()
     if not math.hypot(x, y, z) >= 0.5 * GRAVITY:
         return False
     if math.atan2(math.hypot(x, y), z) <= MAX_OFF_VERTICAL:
         return False
-    ahead, across = float(p.accel[use].sum()) / n, float(turn[use].sum()) / n
+    ahead, across = float(p.accel[use].mean()), float(turn[use].mean())
     return math.atan2(math.hypot(x - ahead, y - across), z) > MAX_OFF_VERTICAL
 
 
@@ -80,11 +76,11 @@ class PlumbLine:
         self._x += tick[ACCEL.x]
         self._y += tick[ACCEL.y]
         self._z += tick[ACCEL.z]
-        if self._n < (STANDING_TICKS if self._standing else DRIVING_TICKS):
+        if self._n < (LEAST_TICKS if self._standing else DRIVING_TICKS):
             return
         x, y, z = self._x, self._y, self._z
         size = math.sqrt(x * x + y * y + z * z)
         up = times(correction.rotation, (x, y, z))[2]
         if math.isfinite(size) and size > 0.0:
-            self.is_off = up < _COS * size
+            self.is_off = up < math.cos(MAX_OFF_VERTICAL) * size
         self._clear()

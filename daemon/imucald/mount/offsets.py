@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-from imucald.core.arrays import Array, solved
+from imucald.core.arrays import Array, median, solved
 from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
 
 MIN_TICKS = 8
@@ -117,10 +117,10 @@ class Offsets:
             total = float(turn.sum())
             self._turn_sums += [[len(rate), total], [total, float(turn @ turn)]]
             self._turned_rate += turn @ rate
-            self._turns.append((_middle(rate @ up), _middle(turn)))
+            self._turns.append((median(rate @ up), median(turn)))
             vertical = self._turned_rate + (ROLLING / UP_STD) ** 2 * up
             mean, _ = solved(self._turn_sums, np.array([self._moving_rate, vertical]))
-            about, turned = (_middle(x) for x in np.array(self._turns).T)
+            about, turned = (median(x) for x in np.array(self._turns).T)
             ratio = STRAIGHT * max(self._moving / GUESS_TICKS, 1.0)
             size = turned / TURN_ZERO
             bend = 1.0 / (1.0 + ratio * math.exp(-0.5 * size * size))
@@ -129,11 +129,3 @@ class Offsets:
                 self._turn_zero_std = math.sqrt(bend * (1.0 - bend)) * abs(turned)
                 self.gyro_bias = mean + up * (about - mean @ up)
         return self._is_old or self._moving >= GUESS_TICKS
-
-
-def _middle(x: Array) -> float:
-    """Return the median of (n,), n > 0. `numpy.median` would import masked arrays, which takes a
-    tenth of the start time.
-    """
-    ordered = np.sort(x)
-    return 0.5 * float(ordered[(len(x) - 1) // 2] + ordered[len(x) // 2])

@@ -62,13 +62,6 @@ HAND_OVER_RATE = math.radians(1.0)
 """Rate at which the applied correction moves to the new estimate [rad/s]."""
 CLEAR_STD = math.radians(20.0)
 """Largest deviation of an angle [rad] at which the angle can show an error of a stated mount."""
-HELD = "the end of the hold (imucald release)"
-HELD_BY_CONFIGURATION = (
-    "the end of the hold in the configuration ('calibration: mount: hold: true')"
-)
-"""Text of the missing condition of a mount that the configuration holds."""
-
-NONE_JUDGED: Mapping[str, bool] = {}
 
 
 class StoredMount(Struct, frozen=True):
@@ -99,17 +92,12 @@ class StoredMount(Struct, frozen=True):
 
 
 @runtime_checkable
-class TakesStatedMount(Protocol):
-    """Interface of an estimator that uses a person's statement about the mount."""
+class KnowsSensor(Protocol):
+    """Interface of an estimator that finds errors of the sensor itself."""
 
     def take_stated_mount(self, R: Matrix3) -> None:
         """Use the mount R_vehicle_from_sensor (3, 3) that a person states."""
         ...
-
-
-@runtime_checkable
-class KnowsSensor(Protocol):
-    """Interface of an estimator that finds errors of the sensor itself."""
 
     def known_sensor(self) -> KnownSensor | None:
         """Return the knowledge about the sensor itself, which does not depend on the mount."""
@@ -182,7 +170,7 @@ class RestoredEstimator:
         """Result of the last comparison, as a chi-square with 3 degrees of freedom."""
         self._turned: float | None = None  # of the drive's own mount against it, contradicted [rad]
         self._contradicted: Contradicted | None = None
-        if stored.is_given and isinstance(inner, TakesStatedMount):
+        if stored.is_given and isinstance(inner, KnowsSensor):
             inner.take_stated_mount(stored.R_vehicle_from_sensor)
         if stored.sensor is not None and isinstance(inner, KnowsSensor):
             inner.take_known_sensor(stored.sensor, stored.doubted)
@@ -224,7 +212,7 @@ class RestoredEstimator:
         """Stuck signals of the vehicle from the inner estimator; empty if the inner estimator does
         not look for stuck signals.
         """
-        return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
+        return {} if self._judges is None else self._judges.stuck_signals
 
     def step(self, tick: TickRow) -> None:
         """Process one tick."""
@@ -402,8 +390,10 @@ def _waiting_for_release(served: MountEstimate, by_configuration: bool) -> Mount
     the hold."""
     if served.state is MountState.FINE:
         return served
+    by = "in the configuration ('calibration: mount: hold: true')"
+    words = f"the end of the hold {by if by_configuration else '(imucald release)'}"
     return replace(
         served,
-        waiting_for=dict.fromkeys(ANGLES, HELD_BY_CONFIGURATION if by_configuration else HELD),
+        waiting_for=dict.fromkeys(ANGLES, words),
         missing=dict.fromkeys(ANGLES, Missing.LEARNING_FROZEN),
     )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from imucald.mount.acceptance import Acceptance
 from imucald.mount.estimate import Correction, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import BAD, GOOD
+from imucald.mount.signal_checks import Acceptance
 from imucald.mount.slewing import SlewedCorrection
 from imucald.mount.states import MountKnowledge, is_mount_uncertain, judged, reported
 

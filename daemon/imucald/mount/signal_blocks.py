@@ -8,7 +8,7 @@ has a flag that says whether the tick is usable.
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -34,12 +34,10 @@ from imucald.mount.even_signals import (
     PART,
     ROWS,
     SPEED_GAP,
-    EvenBlock,
     bridged,
-    even_blocks,
+    sampling_walk,
     times_of,
 )
-from imucald.mount.gyro_walk import sampling_walk
 from imucald.mount.offsets import Offsets
 
 __all__ = [
@@ -56,7 +54,8 @@ __all__ = [
 
 
 BLOCK_S = BLOCK_TICKS * TICK_S
-MISSING = "no valid samples"
+NO_SAMPLES = "no valid samples"
+"""Cause of ticks that were not used."""
 NEIGHBOUR_TICKS = 2
 """Number of ticks before and after a stuck tick that also have no value or no slope."""
 YAW_GAP = 0.5
@@ -130,10 +129,8 @@ class SignalBlockMaker:
         self._begins = True
         """True if the next block includes ticks before the first tick. No data were lost in such
         ticks."""
-        self._expected: deque[tuple[float, EvenBlock | None]] = deque()  # of the ticks to come
         self.offsets = Offsets()
         self.steering_offset = 0.0
-        self._rate_walk = np.zeros((3, 3))
         new = slice(BEFORE, BEFORE + BLOCK_TICKS)
         self.health = SignalHealth(new, settings.calibration.full_scale, settings.vehicle.track)
         self.seen: set[str] = set()
@@ -173,63 +170,30 @@ class SignalBlockMaker:
         self._rows[self._n : self._n + len(ticks)] = ticks
         self._n += len(ticks)
 
-    def expect(self, ticks: Array) -> None:
-        """Compute in advance all blocks that ticks (n, COLUMNS) complete.
-
-        The caller must still push these ticks as the next ticks, unless `restart` is called.
-        """
-        self._expected.clear()
-        rows = np.concatenate([self._rows[: self._n], ticks])
-        end = len(rows) - (len(rows) - KEEP) % BLOCK_TICKS
-        if end > ROWS and self.health.is_possible(rows[KEEP:end]):
-            blocks = even_blocks(rows[:end])
-            ends = rows[ROWS - 1 : end : BLOCK_TICKS, tk.T].tolist()
-            self._expected.extend(zip(ends, blocks, strict=True))
-
     def restart(self) -> None:
         """Forget the stored ticks, because time jumped."""
         self._rows[:] = empty_rows(1)
         self._n = KEEP
         self._begins = True
         self._speed.restart()
-        self._expected.clear()
         self.health.restart()
-
-    def _even(self) -> EvenBlock | None:
-        """Return the precomputed block, or compute the block now; None if force or rate has a
-        hole."""
-        rows = self._rows
-        while self._expected:
-            end, block = self._expected.popleft()
-            if end == rows[-1, tk.T]:
-                return block
-        self.health.drop_impossible(rows[KEEP:])
-        return even_blocks(rows)[0]
 
     def block(self) -> SignalBlock:
         """Return the signals of the next block."""
         rows = self._rows
-        even = self._even()
-        t = times_of(rows[-1:, tk.T])
+        self.health.drop_impossible(rows[KEEP:])
+        t = times_of(float(rows[-1, tk.T]))
         at = t[PART] - 0.5 * TICK_S
-        force, ok_force, is_even = self._force(t, at, even)
-        rate, ok_rate, rate_is_even = self._rate(t, at, even)
-        driven = even.driven if even is not None and is_even and rate_is_even else None
+        force, ok_force = self._sensed(t, at, tk.ACCEL, "accel")[:2]
+        rate, ok_rate, sampled = self._sensed(t, at, tk.GYRO, "gyro")
         self.blocks += 1
-        speed, ok_speed, is_even = self._speed.speed_in_block(rows, t, at, even, self._seen_forward)
-        driven = driven if is_even else None
-        if driven is None or not driven.rolls:
-            size = rate if ok_rate.any() else None
-            if self._speed.silence_parked(speed, ok_speed, force, size):
-                driven = None
+        speed, ok_speed = self._speed.speed_in_block(rows, t, at, self._seen_forward)
+        self._speed.silence_parked(speed, ok_speed, force, rate if ok_rate.any() else None)
         of_turns = speed, ok_speed
         if self.without_speed:
             of_turns = np.full(len(speed), NOMINAL_SPEED), np.ones(len(speed), dtype=bool)
-        yaw_rate, ok_yaw = self._yaw_rate(t, at, *of_turns, even)
-        if driven is not None and driven.moves:
-            rest = self._speed.no_rest()
-        else:
-            rest = self._speed.rest(speed[MID], ok_speed[MID], force[MID], rate[MID], ok_rate[MID])
+        yaw_rate, ok_yaw = self._yaw_rate(t, at, *of_turns)
+        rest = self._speed.rest(speed[MID], ok_speed[MID], force[MID], rate[MID], ok_rate[MID])
         turning = np.maximum(np.abs(yaw_rate), np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
         bad = self.health.untrusted(rows[PART], force, ok_force, speed, ok_speed, turning)
         learn = ~bad[MID] & ok_force[MID]
@@ -238,7 +202,7 @@ class SignalBlockMaker:
             force=force[MID],
             rate=rate[MID],
             speed=speed[MID],
-            accel=(speed[2:] - speed[:-2]) / (2.0 * TICK_S) if driven is None else driven.accel,
+            accel=(speed[2:] - speed[:-2]) / (2.0 * TICK_S),
             yaw_rate=yaw_rate[MID],
             ok_force=ok_force[MID],
             ok_rate=ok_rate[MID],
@@ -250,8 +214,8 @@ class SignalBlockMaker:
             ok_steering=self._steering[1][MID],
             had_rate=ok_rate[MID],
             gyro_bias=self.offsets.gyro_bias,
-            sided=self._sided(t, at[MID], even),
-            rate_walk=self._rate_walk,
+            sided=self._sided(t, at[MID]),
+            rate_walk=sampling_walk(*sampled, ACCEL_GAP),
             least_speed=self._speed.least,
             speed_knots=self._speed_knots(float(t[PART][1])),
             direction=self._speed.direction,
@@ -273,9 +237,9 @@ class SignalBlockMaker:
         """Return the times at which the speed is known in a block [ticks since the block began];
         None: in each tick. first_end: end of the block's first tick [s].
         """
-        if self._speed.knots.times is None:
+        if self._speed.knots is None:
             return None
-        knots = (self._speed.knots.times - first_end) / TICK_S + 1.0
+        knots = (self._speed.knots - first_end) / TICK_S + 1.0
         return knots[(knots >= 0.0) & (knots < BLOCK_TICKS)]
 
     def _note_left_out(self, p: SignalBlock) -> None:
@@ -296,9 +260,9 @@ class SignalBlockMaker:
             own = spread_out(ticks, HOLD_TICKS.get(fault, NEIGHBOUR_TICKS))
             first = (len(own) - BLOCK_TICKS) // 2 if len(own) < ROWS else BEFORE
             self._leave_out(signal, fault.value, open_ticks, lacks & own[first:][:BLOCK_TICKS])
-        self._leave_out("accel", MISSING, open_ticks, ~p.ok_force)
+        self._leave_out("accel", NO_SAMPLES, open_ticks, ~p.ok_force)
         if "speed" in self.seen:
-            self._leave_out("speed", MISSING, open_ticks, ~p.ok_speed)
+            self._leave_out("speed", NO_SAMPLES, open_ticks, ~p.ok_speed)
 
     def _leave_out(self, signal: str, cause: str, open_ticks: Flags, flags: Flags) -> None:
         """Count the ticks that are both open and flagged, and remove them from the open ticks
@@ -308,41 +272,26 @@ class SignalBlockMaker:
             self.left_out[signal, cause] += count
             open_ticks &= ~own
 
-    def _force(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
-        """Return the force (N + 2, 3), flags of the known values, and whether the force equals the
-        precomputed force in `even`."""
-        stuck = self.health.stuck("accel", self._rows)
-        if even is not None and not np.count_nonzero(stuck):
-            return even.force, even.ok_force, True
-        times, values, _ = self._known(t, tk.ACCEL, stuck)
-        return *bridged(at, times, values, ACCEL_GAP), False
+    def _sensed(
+        self, t: Array, at: Array, columns: tk.AccelColumns | tk.GyroColumns, name: str
+    ) -> tuple[Array, Flags, tuple[Array, Array, Array]]:
+        """Return the samples of a sensor at times `at` (N + 2, 3), and flags of the known values.
 
-    def _rate(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags, bool]:
-        """Return the rate (N + 2, 3), flags of the known values, and whether the rate comes from
-        complete data without a stuck sensor."""
-        stuck = self.health.stuck("gyro", self._rows)
-        is_even = even is not None and not np.count_nonzero(stuck)
-        if is_even and even is not None and not even.rate_seldom:
-            self._rate_walk = np.zeros((3, 3))
-            return even.rate, even.ok_rate, True
-        times, values, counts = self._known(t, tk.GYRO, stuck)
-        self._rate_walk = sampling_walk(times, values, counts, ACCEL_GAP)
-        return *bridged(at, times, values, ACCEL_GAP), is_even
-
-    def _known(
-        self, t: Array, columns: tk.AccelColumns | tk.GyroColumns, stuck: Flags
-    ) -> tuple[Array, Array, Array]:
-        """Return times (M,) [s], means (M, 3) and numbers of samples (M,) of the ticks that have
+        Also return times (M,) [s], means (M, 3) and numbers of samples (M,) of the ticks that have
         samples.
         """
         rows = self._rows
-        has = (rows[:, columns.n] > 0) & ~stuck
+        has = (rows[:, columns.n] > 0) & ~self.health.stuck(name, rows)
         known = rows[has]
-        return (
-            t[has] - known[:, columns.age],
-            known[:, columns.x : columns.z + 1],
-            known[:, columns.n],
-        )
+        times, values = t[has] - known[:, columns.age], known[:, columns.x : columns.z + 1]
+        return *bridged(at, times, values, ACCEL_GAP), (times, values, known[:, columns.n])
+
+    def _mean(
+        self, t: Array, at: Array, column: tk.SignalColumns, has: Flags
+    ) -> tuple[Array, Flags]:
+        """Return a signal of the vehicle at times `at`, and flags of the known values. has: ticks
+        that have samples."""
+        return bridged(at, t[has] - 0.5 * TICK_S, self._rows[has, column.mean], YAW_GAP)
 
     def _seen_forward(self) -> SeenForward | None:
         """Return the speed changes that the accelerometer shows, for all ticks; None if the mount
@@ -364,31 +313,16 @@ class SignalBlockMaker:
         ahead, hidden = force @ known.forward, self._speed.least
         return SeenForward(ahead, known.late, known.late_std, drift, hidden)
 
-    def _steering_angle(self, t: Array, at: Array, even: EvenBlock | None) -> tuple[Array, Flags]:
+    def _yaw_rate(self, t: Array, at: Array, speed: Array, ok_speed: Flags) -> tuple[Array, Flags]:
         rows = self._rows
-        if even is not None and even.steering is not None:
-            self.seen.add("steering")
-            return even.steering, np.ones(len(at), dtype=bool)
         has = rows[:, tk.STEERING.n] > 0
-        if not np.count_nonzero(has):
-            return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        self.seen.add("steering")
-        return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP)
-
-    def _yaw_rate(
-        self, t: Array, at: Array, speed: Array, ok_speed: Flags, even: EvenBlock | None
-    ) -> tuple[Array, Flags]:
-        rows = self._rows
-        self._steering = angle, ok_angle = self._steering_angle(t, at, even)
-        is_even = even is not None and even.yaw_rate is not None
-        has = None if is_even else rows[:, tk.YAW_RATE.n] > 0
-        if has is None or np.count_nonzero(has):
+        if np.count_nonzero(has):
+            self.seen.add("steering")
+        self._steering = angle, ok_angle = self._mean(t, at, tk.STEERING, has)
+        has = rows[:, tk.YAW_RATE.n] > 0
+        if np.count_nonzero(has):
             self.seen.add("yaw_rate")
-            stuck = self._stuck_yaw_rate()
-            if even is not None and even.yaw_rate is not None and not np.count_nonzero(stuck):
-                return even.yaw_rate, np.ones(len(at), dtype=bool)
-            has = (rows[:, tk.YAW_RATE.n] > 0) & ~stuck
-            return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
+            return self._mean(t, at, tk.YAW_RATE, has & ~self._stuck_yaw_rate())
         s = self._settings
         if not s.uses_steering or not np.count_nonzero(ok_angle):
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
@@ -418,19 +352,14 @@ class SignalBlockMaker:
             turns = np.where(known, rate, 0.0)
         return self.health.stuck_yaw_rate(rows, turns, known & (np.abs(speed) > DRIVING_SPEED))
 
-    def _sided(self, t: Array, at: Array, even: EvenBlock | None) -> dict[str, tuple[Array, Flags]]:
+    def _sided(self, t: Array, at: Array) -> dict[str, tuple[Array, Flags]]:
         """Return lateral acceleration and heading at times (N,), if the vehicle sends them."""
         rows, found = self._rows, {}
-        if even is not None and even.lateral is not None:
-            found["lateral_accel"] = even.lateral[MID], np.ones(len(at), dtype=bool)
-        elif np.count_nonzero(has := rows[:, tk.LATERAL_ACCEL.n] > 0):
-            values = rows[has, tk.LATERAL_ACCEL.mean]
-            found["lateral_accel"] = bridged(at, t[has] - 0.5 * TICK_S, values, YAW_GAP)
-        if even is None or even.has_heading:
-            has = ~np.isnan(rows[:, tk.HEADING])
-            if np.count_nonzero(has):
-                values = np.unwrap(rows[has, tk.HEADING])
-                found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
+        if np.count_nonzero(has := rows[:, tk.LATERAL_ACCEL.n] > 0):
+            found["lateral_accel"] = self._mean(t, at, tk.LATERAL_ACCEL, has)
+        if np.count_nonzero(has := ~np.isnan(rows[:, tk.HEADING])):
+            values = np.unwrap(rows[has, tk.HEADING])
+            found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
         self.seen.update(found)
         return found
 

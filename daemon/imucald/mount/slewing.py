@@ -59,10 +59,6 @@ class SlewedCorrection:
         target, now = self._target, self.correction
         return target is not None and now is not None and target is not now
 
-    def clear(self) -> None:
-        """Remove the correction and the target."""
-        self._target = self.correction = None
-
     def move_on(self) -> None:
         """Move the applied correction on by one tick."""
         target, now = self._target, self.correction

@@ -26,7 +26,6 @@ HARD_TICKS = 5
 """Shortest duration of a manoeuvre in ticks."""
 
 
-_LEVELS = np.array([HARD_ACCEL, HARD_ACCEL, HARD_TURN, HARD_TURN])
 _COUNT, _RUN = 0, 1
 
 
@@ -48,7 +47,7 @@ class Manoeuvres:
         that are not trusted.
         """
         for k, values in enumerate((accel, -accel, turn, -turn)):
-            self._feed(self._state[k], values, float(_LEVELS[k]))
+            self._feed(self._state[k], values, HARD_ACCEL if k < 2 else HARD_TURN)
 
     @staticmethod
     def _feed(state: NDArray[np.int64], values: Array, level: float) -> None:

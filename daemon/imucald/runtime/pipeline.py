@@ -258,8 +258,6 @@ class Pipeline:
             quality.append(self.quality)
             closed = ticks_from_samples(samples, first + 1, last, rejected)
             all_fit = not any(faults)
-            if all_fit and self._preprocessor is None and self._keeps is not None:
-                self._keeps.expect(closed)
             while self.k < last:
                 left = closed[self.k - first - 1 :]
                 quiet = self._keep_quiet(left, taken) if all_fit else 0

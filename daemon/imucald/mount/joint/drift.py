@@ -65,7 +65,6 @@ Complex = NDArray[np.complex128]
 STEP, STEPS = 8, 8
 """Number of ticks of a mean, and number of means of a block."""
 STEP_S = STEP * TICK_S
-LEVEL_RATES = slice(2, 4)
 ONSET_BLOCKS, ONSETS = 10, 24
 """Number of blocks between two possible onsets of a drift (64 s), and number of onsets that are
 tested. The tested onsets cover the last 26 minutes.
@@ -422,7 +421,7 @@ class ZeroDrift:
         made *= back[:, None]
         slopes = np.zeros((len(theta), 2, STATES))
         slopes[:, :, UP] = _as_matrices(back)
-        slopes[:, :, LEVEL_RATES] = _as_matrices(made[:, 1])
+        slopes[:, :, RATE_ZERO.start : RATE_ZERO.start + 2] = _as_matrices(made[:, 1])
         slopes[:, :, GYRO] = _as_matrices(made[:, 2])
         slopes[:, 0, 4], slopes[:, 1, 4] = made[:, 3].real, made[:, 3].imag
         return _Path(np.array([made[:, 0].real, made[:, 0].imag]).T, slopes)

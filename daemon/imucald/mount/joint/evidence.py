@@ -26,7 +26,15 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.drive import equations as eq
 from imucald.drive import windows as wd
-from imucald.drive.roads import SLOPE_M, Slopes, mean_slopes, road_slopes, slope_way, without_bend
+from imucald.drive.roads import (
+    SLOPE_M,
+    Slopes,
+    mean_slopes,
+    road_slopes,
+    road_weight,
+    slope_way,
+    without_bend,
+)
 from imucald.drive.speed_knots import known_rate, known_times, means_between
 from imucald.drive.unknown_speed import FIRST_STD, UnknownSpeed
 from imucald.drive.unknown_speed import NAMES as UNKNOWN_NAMES
@@ -55,11 +63,11 @@ from imucald.mount.joint.state import (
     EPS,
     IN_BENDS,
     LAG,
-    NO_TURN,
     PHI,
     TURN,
     UNKNOWNS,
     ZERO,
+    ZERO_VECTOR,
     OtherSignals,
     Priors,
     WeightedPrior,
@@ -135,8 +143,6 @@ The values are rounded up from the means of eleven drives: three drives of secon
 measured drives, and the simulated drives with the seeds 970000 to 970005. These drives are
 therefore not used to judge results.
 """
-USUAL_TURN_NOISE: Final = np.full((2, wd.BANDS), 0.001)
-"""Expected noise of roll rate and pitch rate in each frequency band [(rad/s)^2]."""
 SQUAT = 0.006
 """Prior standard deviation of the response of the vertical force to d(v dv/dt)/dt [s^2/m].
 
@@ -166,12 +172,10 @@ rolling, pitching, dr/dt, lean in bends, lag of the rolling.
 Bodies roll later than v r rises, because the springs are damped and the lateral velocity takes time
 to build up. The last value is the rolling times a lag of 0.15 s (assumption).
 """
-_XS = tuple(range(wd.X.start, wd.X.stop))
 JERK: Final = len(wd.MAIN) + wd.EXTRA.index("jerk")
-_ROLLING: Final = len(wd.MAIN) + wd.EXTRA.index("dp/dt")
 TURN_FITS: Final = Fits(
     tuple((wd.RATES.start + i, *wd.TURN_COLUMNS) for i in range(2)),
-    USUAL_TURN_NOISE,
+    np.full((2, wd.BANDS), 0.001),  # expected noise of roll rate and pitch rate [(rad/s)^2]
     np.tile(TURN_SPREAD, (2, 1)),
     keep=1,
 )
@@ -219,7 +223,6 @@ STEERED_GAIN = 0.2
 """Prior standard deviation of the gain of a turn rate that is computed from a steering angle. The
 cause is understeer (assumption).
 """
-ALL_BANDS: Final = np.ones(wd.BANDS, dtype=bool)
 
 
 ANSWERS: Final = {
@@ -255,15 +258,8 @@ LEVELS: Final = ("pitch_gravity", "roll_gravity")
 """Names of the evidence from the horizontal force: pitch from the force along x, roll from the
 force along y.
 """
-ALL_SIGNALS: Final = OtherSignals()
-ANY_DELAY: Final = DelayPrior()
-LEVEL: Final = np.array([0.0, 0.0, 1.0])
-"""Assumed direction of the vertical without a gyroscope: the vehicle is level."""
-NO_ZERO: Final = np.zeros(3)
 NO_WALK: Final = np.zeros((3, 3))
 NO_REST: Final = np.zeros(BLOCK_TICKS, dtype=bool)
-NO_ARM: Final = (0.0, 0.0, 0.0)
-NO_AXES: Final = np.eye(3), np.eye(3), NO_ZERO
 LEVELLINGS = 3
 """Number of times that the first axes are levelled. A drive that begins in a long bend would
 otherwise begin with axes that are 10 deg off.
@@ -301,7 +297,7 @@ class Block(NamedTuple):
     speed: Array
     use: Flags
     is_rate_known: bool = True
-    rate_zero: Array = NO_ZERO
+    rate_zero: Array = ZERO_VECTOR
     rate_walk: Array = NO_WALK
     knots: Array = MIDDLES
     least_speed: float = 0.0
@@ -350,7 +346,7 @@ class Solution(NamedTuple):
         terms[EPS][2] = self.turn
         return KnownSensor.found(self.housing, terms, self.covariance, priors)
 
-    def sent(self, turned: Array = NO_TURN, zero: Array = NO_ZERO) -> SentDeviations:
+    def sent(self, turned: Array = ZERO_VECTOR, zero: Array = ZERO_VECTOR) -> SentDeviations:
         """Return the deviations of the sent data.
 
         turned: (3,) variance of an additional rotation of both sensors [rad^2]. zero: (3,) variance
@@ -368,16 +364,16 @@ class Evidence:
         known: KnownSensor | None = None,
         is_moved: bool = False,
         past: Drift | None = None,
-        signals: OtherSignals = ALL_SIGNALS,
-        late: DelayPrior = ANY_DELAY,
-        lever_arm: tuple[float, float, float] = NO_ARM,
+        signals: OtherSignals | None = None,
+        late: DelayPrior | None = None,
+        lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
         """known: earlier data of the sensor. is_moved: the sensor was moved after these data.
 
         past: an earlier drift, in sensor axes. late: prior of the delay of the speed. lever_arm:
         known vector from the body's centre of rotation to the sensor, vehicle axes [m].
         """
-        self.signals = signals
+        self.signals = signals = signals or OtherSignals()
         self._past = past
         self._priors = priors
         self.known, self.is_moved = known, is_moved
@@ -390,8 +386,8 @@ class Evidence:
         evidence for this rotation.
         """
         self._taken = np.zeros(UNKNOWNS)
-        self._late, self._lever_arm = late, lever_arm
-        self.delay, self.delay_std = late.mean, math.inf
+        self._late, self._lever_arm = late or DelayPrior(), lever_arm
+        self.delay, self.delay_std = self._late.mean, math.inf
         self._later = 0.0  # change of the delay that the last fit asks for
         self.gains = (1.0, 1.0)
         """Gains of the force on dv/dt and v r (speed times yaw rate)."""
@@ -408,7 +404,8 @@ class Evidence:
         self._roads: dict[int, Slopes] = {}  # by number of blocks
         self._done = self._followed = 0
         self._drift, self._found_drift = ZeroDrift(), NO_DRIFT
-        self._drift_axes, self._drift_delay = NO_AXES, math.inf
+        self._drift_axes: Axes = np.eye(3), np.eye(3), ZERO_VECTOR
+        self._drift_delay = math.inf
         self._reset_windows()
 
     @property
@@ -477,7 +474,7 @@ class Evidence:
     @property
     def bias(self) -> Array:
         """Present estimate of the accelerometer's zero error (3,) in sensor axes [m/s^2]."""
-        return NO_ZERO if self.solution is None else self.solution.bias
+        return ZERO_VECTOR if self.solution is None else self.solution.bias
 
     @property
     def blocks(self) -> int:
@@ -488,11 +485,6 @@ class Evidence:
     def seconds(self) -> float:
         """Length of the evidence [s]."""
         return len(self._blocks) * BLOCK_TICKS * TICK_S
-
-    @property
-    def compares_with_before(self) -> bool:
-        """True if the hypothesis that nothing has changed is one of the hypotheses."""
-        return self.known is not None and not self.is_moved
 
     def gap(self) -> None:
         """Note a jump of time. Later blocks are not joined with earlier blocks."""
@@ -649,7 +641,7 @@ class Evidence:
         if self.signals.gyro:
             up, tilts = self._vertical.block(rate, (force - motion) / GRAVITY, use)
         else:
-            up, tilts = np.tile(LEVEL, (len(use), 1)), np.zeros((len(use), 3, 3))
+            up, tilts = np.tile([0.0, 0.0, 1.0], (len(use), 1)), np.zeros((len(use), 3, 3))
         x = np.hstack([wd.columns(force, rate, speed, accel, up, tilts), more])
         v = speed
         if not self.signals.speed:  # what the vehicle shows of it: rest, and the gear
@@ -736,8 +728,7 @@ class Evidence:
         speed: (N,) [m/s]. ahead: (N,) speed along the direction of travel that the gear shows
         [m/s].
         """
-        passed = slope_way(speed) * use * TICK_S
-        weight = passed + 0.05 * TICK_S * use
+        passed, weight = slope_way(speed) * use * TICK_S, road_weight(speed, use)
         square = weight * np.square(speed)
         rows = np.column_stack([weight[:, None] * left[:, :2], weight, passed, square, ahead * use])
         blocks = rows.reshape(-1, wd.BLOCK, 6).sum(axis=1)
@@ -841,7 +832,7 @@ class Evidence:
             return np.asarray(np.convolve(np.where(use, x, 0.0), kernel, "same"))
 
         changes = smooth(a)
-        R, moved = np.eye(3), NO_ZERO  # mean of the motion's part of the force, sensor axes
+        R, moved = np.eye(3), ZERO_VECTOR  # mean of the motion's part of the force, sensor axes
         for _ in range(LEVELLINGS):
             level_from_sensor = levelling_rotation(up - moved)
             turning = rate @ level_from_sensor[2] if self.signals.gyro else rate[:, 2]
@@ -964,7 +955,7 @@ class Evidence:
         hypotheses = self._hypotheses()
         theta, covariance, shares = fuse(hypotheses, measured, self._taken)
         same, against = 0.0, None
-        if self.compares_with_before:
+        if self.known is not None and not self.is_moved:
             same = float(shares[AS_BEFORE])
             against = contradiction(hypotheses[AS_BEFORE], measured, self._taken)
         return self._applied(theta, covariance, same, against)
@@ -1045,20 +1036,28 @@ class Evidence:
         return creep(self._series(), chance, shifts)
 
     def _series(self) -> list[SegmentSeries]:
-        """Return the evidence about the rotation relative to the working axes, by road segment."""
+        """Return the evidence about the rotation relative to the working axes, by road segment.
+
+        The axis of turning and the horizontal force along the vehicle are left out: they differ too
+        much between town and motorway to separate creep from the road.
+        """
         made, sums = [], self._sums
         force = sums.force.scores(sums.force.by_segment())
         shown = [(force, k, *one) for k, answered in enumerate(self._answered) for one in answered]
         if self.signals.gyro:
             turning = sums.turning.scores(sums.turning.by_segment())
-            shown += [(turning, i, 0, (i, 2)) for i in range(2)]
+            shown.append((turning, 1, 0, (1, 2)))
         for fit, k, place, (i, j) in shown:
             name = ANSWERS[i, j]
             scores, known = (part[k, :, place] for part in fit)
             part = 1.0 / (1.0 + known * self._left_out(i, j))
             score = -TURN[i, j][1] * part * scores  # the axes turn against the answer
             made.append(SegmentSeries(name, score, part * known, self.variances[name]))
-        return made + self._level_series()
+        _, across, weight, metres = self._levels_by_segment().T
+        known = (weight > 0.0) / self._slopes().over(metres)[:, 1]
+        angle = -TURN[1, 2][1] * across / np.maximum(weight, 1e-9)
+        left = known * (angle - float(known @ angle) / float(known.sum()))
+        return [*made, SegmentSeries(LEVELS[1], left, known, self.variances[LEVELS[1]])]
 
     def _left_out(self, i: int, j: int) -> float:
         """Return the variance of a response to motion that comes from effects without a term in the
@@ -1072,17 +1071,6 @@ class Evidence:
             xy = priors.eliminated[0] if self.signals.gyro else priors.uncarried
             more |= {(0, 1): xy, (1, 0): priors.eliminated[1]}
         return priors.floor**2 + more.get((i, j), 0.0) ** 2
-
-    def _level_series(self) -> list[SegmentSeries]:
-        """Return the evidence from the horizontal force, by road segment."""
-        along, across, weight, metres = self._levels_by_segment().T
-        slopes, made = self._slopes().over(metres), []
-        for i, (name, level) in enumerate(zip(LEVELS, (along, across), strict=True)):
-            known = (weight > 0.0) / slopes[:, i]
-            angle = -TURN[i, 2][1] * level / np.maximum(weight, 1e-9)
-            left = known * (angle - float(known @ angle) / float(known.sum()))
-            made.append(SegmentSeries(name, left, known, self.variances[name]))
-        return made
 
     def _levels_by_segment(self, to_last: bool = False) -> Array:
         """Return sums (S, 4) for each road segment: the two components of the horizontal force
@@ -1139,7 +1127,7 @@ class Evidence:
         mean slope of the bends. Also return the variances (2,) of this mean slope.
         """
         priors, out = self._priors, []
-        found = self._sums.turning.respond(ALL_BANDS)
+        found = self._sums.turning.respond(np.ones(wd.BANDS, dtype=bool))
         leaning = _over_segments(self._slopes(), found.segments[:, 0]).diagonal()
         for i in range(2):
             row = rate_entry(i, 2)
@@ -1195,10 +1183,10 @@ def force_fits(signals: OtherSignals) -> Fits:
     """Return the fits of the axes of the force to the motion that these signals show."""
     noise = USUAL_NOISE.copy()
     spread = np.concatenate([np.ones((3, 2)), SPREAD], axis=1)
-    columns = [(i, *_XS) for i in range(3)]
+    columns = [(i, *range(wd.X.start, wd.X.stop)) for i in range(3)]
     if not signals.gyro:
         noise += SLOPE_NOISE
-        spread[:, _ROLLING] = ROLLING_SPREAD
+        spread[:, len(wd.MAIN) + wd.EXTRA.index("dp/dt")] = ROLLING_SPREAD
     if not signals.speed:
         slopes = np.zeros(wd.BANDS) if signals.gyro else SLOPE_NOISE[1]
         few = len(UNKNOWN_SPREAD)

@@ -45,7 +45,6 @@ from imucald.mount.joint.state import (
     sent_deviations,
     sent_variance,
 )
-from imucald.mount.priors import BIAS_DRIFT_STD
 
 TURN, ACCEL, BIAS, GYRO = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 24)
 TERMS = 24
@@ -55,6 +54,12 @@ accelerometer's zero error divided by g (3), and the gyroscope's matrix (9).
 PROBABLY_OTHER = 0.005
 """Probability that another sensor is mounted, or that the sensor itself has changed, since the
 previous drive (assumption).
+"""
+BIAS_DRIFT_STD = 0.04
+"""Change of the accelerometer's zero error while the sensor warms up [m/s^2], 4 mg.
+
+The value is an assumption: 0.1 mg/K times 40 K from a cold start. The data sheet of an older part
+states 35 mg over 0 to 70 degC (MPU-6050).
 """
 PROBABLY_MOVED: Final = ((0.1, 0.005), (FREE, 0.005))
 """Standard deviation of a rotation between two drives [rad], and probability of this rotation. A
@@ -75,7 +80,6 @@ housing's rotation.
 Within one mount, cross-axis terms cause a difference of some hundredths. If the difference is
 larger than the limit, the rotations belong to different mounts.
 """
-DIGITS = 9
 _UPPER = np.triu_indices(TERMS)
 _XY, _YX, _XZ, _YZ = (GYRO.start + k for k in (1, 3, 2, 5))
 
@@ -201,8 +205,8 @@ class KnownSensor(NamedTuple):
         """Return plain values for JSON."""
         return {
             "rotation": self.rotation.ravel().tolist(),
-            "mean": [float(f"{v:.{DIGITS}g}") for v in self.mean.tolist()],
-            "covariance": [float(f"{v:.{DIGITS}g}") for v in self.covariance[_UPPER].tolist()],
+            "mean": [float(f"{v:.9g}") for v in self.mean.tolist()],
+            "covariance": [float(f"{v:.9g}") for v in self.covariance[_UPPER].tolist()],
         }
 
 

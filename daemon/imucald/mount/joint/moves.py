@@ -34,8 +34,7 @@ LEAST_BEFORE = 3
 The value was chosen on the simulated drives with the seeds 1840010 to 1840041 and 1830000 to
 1830029. It was judged on the seeds 1860000 to 1860029 and 1861000 to 1861029.
 """
-_HALF: Final = np.radians(np.geomspace(1.0, 30.0, 18))
-SIZES: Final = np.concatenate([-_HALF[::-1], _HALF])
+SIZES: Final = np.radians(np.outer([-1.0, 1.0], np.geomspace(1.0, 30.0, 18))).ravel()
 """Angles of rotation that are tested, with equal probabilities [rad]. Rotations of less than 1 deg
 are not tested, because the effect on the results is small.
 """

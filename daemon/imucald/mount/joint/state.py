@@ -19,7 +19,6 @@ from imucald.core.samples import GRAVITY
 from imucald.drive.roads import SLOPE
 from imucald.drive.unknown_speed import Steered
 from imucald.mount.estimate import SentDeviations
-from imucald.mount.priors import CROSS_AXIS
 
 OFF: Final = ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1))
 """Positions of the cross-axis terms e in the matrix E."""
@@ -29,7 +28,7 @@ TURN: Final = {
 }  # fmt: skip
 """Axis and sign of the rotation phi at each position of the matrix [phi x]."""
 PHI, CROSS, ZERO, EPS, CROWN = slice(0, 3), slice(3, 9), slice(9, 11), slice(11, 14), 14
-NO_TURN: Final = np.zeros(3)
+ZERO_VECTOR: Final = np.zeros(3)
 UNKNOWNS = 15
 MOST_GAIN = 1.45
 """Largest gain of a sensor's matrix in any direction.
@@ -85,14 +84,24 @@ class Priors(NamedTuple):
     """Standard deviations of the unknowns before any data, and of effects without a term in the
     equations.
 
-    Sources are data sheets or simulated drives. Data sheets are named at each value. Sideslip,
-    pitching and turning were chosen on drives of second_world, on drives of another simulator, and
-    on the simulated drives with the seeds 970000 to 970006. None of these drives is used to judge
-    results.
+    Sources are data sheets or simulated drives. Data sheets are named at each value (MPU-6050:
+    PS-MPU-6000A-00 rev. 3.4). A "typical" value of a maker is used as one standard deviation.
+    Sideslip, pitching and turning were chosen on drives of second_world, on drives of another
+    simulator, and on the simulated drives with the seeds 970000 to 970006. None of these drives is
+    used to judge results.
     """
 
-    cross_axis: tuple[tuple[float, float], ...] = CROSS_AXIS
-    """Sizes of the accelerometer's cross-axis terms, each with its probability."""
+    cross_axis: tuple[tuple[float, float], ...] = (
+        (0.001, 0.12), (0.005, 0.18), (0.01, 0.2), (0.02, 0.22), (0.04, 0.18), (0.08, 0.1),
+    )  # fmt: skip
+    """Sizes of the accelerometer's cross-axis terms (ratio, rms), each with its probability.
+
+    Only the order of magnitude is known, so sizes from 0.5 % to 4 % are about equally probable.
+    Data sheets of bare parts state 2 % (MPU-6050, 6.2; ICM-20948, DS-000189, 3.2) and 3 % (ADXL350,
+    table 1), and do not say whether this is a typical or a largest value. One unit in eight was
+    calibrated by its maker to 0.1 %. Soldering, gluing and bending enlarge the error of the other
+    units several times, so 8 % is included.
+    """
     gain: float = 0.013
     """Gain of one axis of the accelerometer relative to the other axes: within 3 % (MPU-6050, 6.2).
     """
@@ -240,7 +249,7 @@ def sent_variance(covariance: Array) -> Array:
 
 
 def sent_deviations(
-    variance: Array, turned: Array = NO_TURN, zero: Array = NO_TURN
+    variance: Array, turned: Array = ZERO_VECTOR, zero: Array = ZERO_VECTOR
 ) -> SentDeviations:
     """Return the deviations of the sent data from their variances (8,).
 

@@ -97,17 +97,20 @@ class ChangeHypothesis(NamedTuple):
 
 
 _TURNED_STDS: Final = np.array([TURNED_STD] * 3 + [SECOND_ORDER])
-NOT_FELT: Final = ChangeHypothesis(_turned(is_felt=False), _TURNED_STDS, 0.25)
-FELT: Final = ChangeHypothesis(_turned(is_felt=True), _TURNED_STDS, 0.25)
-STEPPED: Final = ChangeHypothesis(_unit(ZERO), np.full(3, ZERO_STD), 0.5, tilts=False)
-GRADE: Final = ChangeHypothesis(
-    np.hstack([_unit(TILT), _unit(UPWARD)]), np.array([0.05, 0.03, SECOND_ORDER]), 1.0
+HYPOTHESES: Final = (
+    ChangeHypothesis(_turned(is_felt=False), _TURNED_STDS, 0.25),
+    ChangeHypothesis(_turned(is_felt=True), _TURNED_STDS, 0.25),
+    ChangeHypothesis(_unit(ZERO), np.full(3, ZERO_STD), 0.5, tilts=False),
+    ChangeHypothesis(
+        np.hstack([_unit(TILT), _unit(UPWARD)]), np.array([0.05, 0.03, SECOND_ORDER]), 1.0
+    ),
 )
-"""Hypothesis of a long grade or a long superelevation of the road. A grade of 10 % is a steep
-mountain road, and a superelevation of 6 % is steep. These values are two standard deviations of the
-prior.
+"""Hypotheses: a turn that the gyroscope did not measure, a turn that it measured, a jump of a zero
+error, and a long grade or superelevation of the road.
+
+A grade of 10 % is a steep mountain road, and a superelevation of 6 % is steep. These values are two
+standard deviations of the prior.
 """
-HYPOTHESES: Final = (NOT_FELT, FELT, STEPPED, GRADE)
 EFFECT: Final = np.hstack([one.effect for one in HYPOTHESES])
 """Effect (STATES, 14) on the state, at an onset, of the unknowns of all hypotheses."""
 
