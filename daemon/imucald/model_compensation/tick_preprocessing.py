@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imucald.core.rotations import times, transposed_times
+from imucald.model_compensation.filters import SuspensionFilter
 from imucald.model_compensation.held_repeats import HeldRepeats
 from imucald.model_compensation.lever_arm_and_suspension import less_suspension_rate, on_road
-from imucald.model_compensation.suspension import SuspensionFilter
 from imucald.model_compensation.time_alignment import TimeAlignment
 from imucald.motion import ticks as tk
 from imucald.motion.stuck import SAME
