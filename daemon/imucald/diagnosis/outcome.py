@@ -11,7 +11,6 @@ import numpy as np
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.text import counted
 from imucald.diagnosis.cause_keys import (
-    BUTTERWORTH_S_HZ,
     TRIADS,
     low_pass,
     mount_of,
@@ -39,6 +38,7 @@ from imucald.diagnosis.search.shift import KEYS, FittedShift
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import LEVELLED, SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
+from imucald.model.sensors import BUTTERWORTH_S_HZ
 from imucald.mount.mount_words import SD_95
 
 MISSING = (Kind.NOT_PLAUSIBLE, *UNBELIEVED)

@@ -11,13 +11,8 @@ import numpy as np
 from imucald.core.arrays import Array, Flags, Index
 from imucald.core.rotations import times
 from imucald.core.samples import QUANTITIES
-from imucald.model_compensation.terms import (
-    IDENTITY,
-    NO_RAIL,
-    REFERENCE_DEGC,
-    ScalarTerms,
-    TriadTerms,
-)
+from imucald.model.sensors import REFERENCE_DEGC
+from imucald.model_compensation.terms import IDENTITY, NO_RAIL, ScalarTerms, TriadTerms
 
 
 class Compensator:

@@ -17,13 +17,12 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
-from imucald.model.sensors import Temperature, TriaxialSensor
+from imucald.model.sensors import REFERENCE_DEGC, Temperature, TriaxialSensor
 from imucald.model.vehicle import Mount
 from imucald.simulation.body import BodyMotion
 from imucald.simulation.filters import butterworth, filtered, generator
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 
-REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0
 VIBRATION_CORNER_HZ = 2.0
 """Frequency above which the body vibration is white [Hz]. Below this frequency, the vibration

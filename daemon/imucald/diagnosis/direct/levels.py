@@ -30,7 +30,6 @@ SIGNALS = (
     "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
     "longitudinal_accel",
 )  # fmt: skip
-"""Signals that are tested."""
 OF_WHEELS = ("speed", "wheel_speeds")
 """Signals that are 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
@@ -97,23 +96,13 @@ def levels_of(x: Array) -> Array:
     return np.asarray(found[np.concatenate([[True], apart])])
 
 
-def finest_of(levels: Array) -> float:
-    """Return the gap between levels that nine tenths of the gaps reach or exceed; 0 if there are
-    few gaps."""
-    gaps = np.diff(levels)
-    return (
-        float(np.quantile(gaps, GAP_QUANTILES[0], method="lower"))
-        if len(gaps) >= LEAST_GAPS
-        else 0.0
-    )
-
-
 def step_of(levels: Array) -> float:
-    """Return the step of the converter that made these levels; 0 if the levels are not on a common
-    grid."""
-    gaps, step = np.diff(levels), finest_of(levels)
-    if step == 0.0:
+    """Return the step of the converter that made these levels: the gap that nine tenths of the gaps
+    reach or exceed. 0 if there are few gaps, or if the levels are not on a common grid."""
+    gaps = np.diff(levels)
+    if len(gaps) < LEAST_GAPS:
         return 0.0
+    step = float(np.quantile(gaps, GAP_QUANTILES[0], method="lower"))
     near = gaps[gaps < NEAR_STEPS * step] / step
     whole = np.abs(near - np.round(near)) <= OFF_STEP
     return step if len(near) >= LEAST_GAPS and whole.mean() >= ON_STEPS else 0.0

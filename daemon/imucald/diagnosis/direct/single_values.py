@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
+from imucald.diagnosis.cause_keys import TRIADS
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, DriveSignals, Mask
@@ -30,7 +30,6 @@ PASSES_HALF = 0.25
 half its usual distance of a value, it reaches the value in at most this share of the cases. The
 reason is that the tails of a distribution with a finite variance fall faster than 1/x^2
 (Chebyshev)."""
-SENSORS = ("accel", "gyro")
 BESIDE = 3
 """Smallest number of neighbouring levels on each side of a value. The value is compared with the
 most frequent of these levels."""
@@ -89,8 +88,9 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     jumps = np.flatnonzero(far[:-1] & far[1:]) + 1
     if not len(jumps):
         return None
-    if table.shape[1] == 1 and _ends_both_ways(runs[:, 0], jumps):
-        return None
+    ends = runs.min(), runs.max()
+    if table.shape[1] == 1 and all((runs[jumps, 0] == end).sum() > 1 for end in ends):
+        return None  # shocks beyond both ends of the range; lost readings have one value
     values, index = np.unique(runs[jumps], axis=0, return_inverse=True)
     counts = np.bincount(index.ravel())
     best = int(np.argmax(counts))
@@ -108,19 +108,12 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     return Lost(value, (table == value).all(axis=1), visits)
 
 
-def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
-    """True if jumps lead repeatedly to both ends of the range. Such jumps are shocks beyond the
-    range, because lost readings have one value only. runs: (N,) values of a signal with one
-    component."""
-    return all(int((runs[jumps] == end).sum()) > 1 for end in (runs.min(), runs.max()))
-
-
 def held_values(drives: Sequence[DriveSignals]) -> Iterator[Answer]:
     """Yield the values that a sensor holds and no found fault explains. A signal is reported once,
     for its first drive."""
     found: dict[str, Answer] = {}
     for drive in drives:
-        for name in SENSORS:
+        for name in TRIADS:
             if drive.has(name):
                 for one in _of_sensor(name, drive, len(drives)):
                     found.setdefault(one.signal, one)
@@ -138,7 +131,7 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Answer]:
     fresh = np.ones(len(table), dtype=bool)
     fresh[1:] = (np.diff(table, axis=0) != 0.0).any(axis=1)
     table = table[fresh]
-    questions = len(SENSORS) * 3 * drives
+    questions = len(TRIADS) * 3 * drives
     for axis in range(table.shape[1]):
         held = _held(table[:, axis], questions)
         if held is None:

@@ -11,16 +11,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.stats import gamma
 
-from imucald.core.arrays import Array
-from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
+from imucald.core.arrays import Array, Index
+from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
-from imucald.diagnosis.fit.blocks import CARRIED, EQUATIONS, NDArrayInt, late_signals
+from imucald.diagnosis.fit.blocks import CARRIED, EQUATIONS, MEDIAN_SQUARE, late_signals
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import losses, one_in_fifteen
 from imucald.diagnosis.left_over.remains import DRIVEN, LEAST_SEGMENTS, Remains, Spectra
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, STEP_S, Mask
+from imucald.model.sensors import BUTTERWORTH_S_HZ
 
 OPPOSITE = 0.4
 """Negative correlation of a signal with its prediction above which a sign is wrong."""
@@ -45,10 +46,6 @@ MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
 """Limit of the lateral residual after a fit of all parameters within their tolerances [m/s^2]: the
 effect of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added to
 this limit."""
-FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
-"""Product of delay and cut-off frequency of a first-order low-pass filter, for frequencies well
-below the cut-off."""
-OCTAVE = 2.0
 BAND_HZ = 0.25, 4.5
 """Range of tested frequencies [Hz]. Lower frequencies are absorbed by the tilt of a segment. The
 upper limit is below half of the grid's rate."""
@@ -110,9 +107,8 @@ def _noise(state: State, top_hz: float) -> float:
     for drive in state.drives:
         accel = drive.channels["accel"]
         steps = np.diff(accel.values @ across)
-        # The median of a squared normal variable is 0.455 of its mean; a difference contains the
-        # noise twice.
-        power = float(np.median(steps**2)) / 0.455 / 2.0
+        # A difference contains the noise twice.
+        power = float(np.median(steps**2)) / MEDIAN_SQUARE / 2.0
         found.append(np.sqrt(power * min(2.0 * top_hz * accel.period_s, 1.0)))
     return float(max(found))
 
@@ -209,7 +205,7 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
-            band = FIRST_ORDER_S_HZ / abs(x) / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / abs(x)
+            band = 0.5 / (2.0 * np.pi * abs(x)), 2.0 * BUTTERWORTH_S_HZ / abs(x)
             made += [(signal, *band) for signal in late_signals(key, x)]
     return made
 
@@ -252,7 +248,7 @@ def _to_hz(name: str, state: State) -> float:
     return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
 
 
-def _of_line(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Answer:
+def _of_line(name: str, z: Spectra, hz: Array, asked: Index, tau: float) -> Answer:
     """Return the answer about the strongest line of an equation. z: (B, F) spectra of segments.
     asked: indices of the tested frequencies. tau: smallest amplitude of a line."""
     # One segment in fifteen must not decide.

@@ -27,7 +27,7 @@ from imucald.diagnosis.causes import BY_NAME, CAUSES
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.added import level_of, rows_with, whitened
 from imucald.diagnosis.fit.blocks import late_signals
-from imucald.diagnosis.fit.score import REACH, Problem, held_out, without_best
+from imucald.diagnosis.fit.score import REACH, Problem, held_out, sum_and_se, without_best
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import ALIKE_SE, Trial
 from imucald.drive.equations import Complex
@@ -89,8 +89,8 @@ class _Filter:
 def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -> None:
     filters = _filters(state, state.evaluated(), late)
     best = max(filters, key=lambda x: float(x.more.sum()))
-    more, ahead = best.more, float(best.more.sum())
-    least = max(ALIKE_SE * float(np.sqrt(len(more)) * np.std(more, ddof=1)), trial.needed)
+    more, (ahead, se) = best.more, sum_and_se(best.more)
+    least = max(ALIKE_SE * se, trial.needed)
     if ahead < -least and all(x.is_apart for x in filters):
         return
     other = replace(

@@ -33,8 +33,6 @@ from imucald.diagnosis.search.trials import (
     tried,
 )
 
-MOST_NAMED = 6
-
 
 def asked_again(state: State, trial: Trial) -> Trial:
     """Test a hypothesis again, relative to the box of correct model files. The test starts from the
@@ -233,7 +231,7 @@ def _grown(
 ) -> None:
     """Name the causes that improve the prediction, one after another. fallen: names of causes that
     are not named again."""
-    while len(state.named) < MOST_NAMED and not late():
+    while len(state.named) < 6 and not late():
         problem = state.evaluated()
         state.last = _trials(problem, state, skip)
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
