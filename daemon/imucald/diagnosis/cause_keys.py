@@ -24,14 +24,13 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS, family
+from imucald.diagnosis.signals import SIGNALS
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import BUTTERWORTH_S_HZ, LONGEST_DELAY_S
 from imucald.simulation.imu import gain_matrix, mounts
 
 Changes = Mapping[str, float]
 TRIADS = ("accel", "gyro")
-DELAYED = ("speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
-           "accel", "gyro")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -224,7 +223,7 @@ def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
     moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
     if not moved:
         return {}
-    delays = {n: getattr(model, n).delay_s + changes.get(f"{n}.delay_s", 0.0) for n in DELAYED}
+    delays = {n: getattr(model, n).delay_s + changes.get(f"{n}.delay_s", 0.0) for n in SIGNALS}
     if "speed.delay_s" in changes:
         delays["wheel_speeds"] += changes["speed.delay_s"]
     lift = max(0.0, -min(delays.values()))

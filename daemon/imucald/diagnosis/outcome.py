@@ -44,8 +44,6 @@ from imucald.mount.mount_words import SD_95
 MISSING = (Kind.NOT_PLAUSIBLE, *UNBELIEVED)
 """Kinds of structure that contradict the model: a cause is missing, with or without direct
 evidence."""
-FEW_BLOCKS = 20
-"""Number of segments below which the number is an argument against a cause."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
 
@@ -162,33 +160,28 @@ def _against(state: State, trial: Trial) -> list[str]:
                 f"{key} moves by {_with_unit(f'{wander:.2g}', key)} between quarters of the data"
             )
     is_plain = trial.hypothesis.pattern is None
-    if is_plain and state.table is not None and state.table.blocks < FEW_BLOCKS:
+    if is_plain and state.table is not None and state.table.blocks < 20:
         texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
     return texts
-
-
-_SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
 
 
 def cause_of_fault(fault: Fault, model: VehicleModel) -> FoundCause:
     """Return the cause for a fault in samples or time stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
-        stated = math.nan if key.startswith("_") else _stated(model, key)
-        parameters[key] = Estimated(x, std, unit, stated if math.isfinite(stated) else 0.0)
+        section, _, name = key.partition(".")
+        stated = getattr(getattr(model, section, None), name, None)
+        known = float(stated) if isinstance(stated, int | float) else 0.0
+        parameters[key] = Estimated(x, std, unit, known)
     # If several signals have the fault, they share one text.
-    name = _SENSORS.get(fault.signal, fault.signal.replace("_", " ").capitalize())
+    name = {"accel": "Accelerometer", "gyro": "Gyroscope"}.get(
+        fault.signal, fault.signal.replace("_", " ").capitalize()
+    )
     text = f"{name}: {fault.text[:1].lower()}{fault.text[1:]}"
     return FoundCause(
         fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, text,
         "likely" if fault.against else "certain", fault.against,
     )  # fmt: skip
-
-
-def _stated(model: VehicleModel, key: str) -> float:
-    section, _, name = key.partition(".")
-    x = getattr(getattr(model, section), name, None)
-    return float(x) if isinstance(x, int | float) else math.nan
 
 
 def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
@@ -219,16 +212,16 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     }
     # The text has the interval, which does not lie evenly about this time.
     parameters["mount.shifts.t_s"] = Estimated(shift.start_s, math.nan, "s")
-    name = "mount_shift" if shift.kind == "step" else "mount_creep"
+    is_step = shift.kind == "step"
     text = (
         f"The sensor was turned between {shift.low_s:.0f} and {shift.high_s:.0f} s."
-        if shift.kind == "step"
+        if is_step
         else "The sensor turns slowly during the whole drive."
     )
     text += " The angles are turns about the vehicle's axes."
     sigma = float(np.max(np.abs(shift.turn) / shift.se))
     return FoundCause(
-        name, parameters, signals_of(table, KEYS),
+        "mount_shift" if is_step else "mount_creep", parameters, signals_of(table, KEYS),
         {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile,
          "beyond_tolerance": shift.beyond_tolerance, "threshold": shift.threshold}, text,
         "certain", ("the parts before and after the turn would be two drives, so nothing else was "

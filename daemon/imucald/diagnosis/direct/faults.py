@@ -18,10 +18,10 @@ from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
 from imucald.diagnosis.direct.levels import levels_of, step_of
-from imucald.diagnosis.direct.single_values import Lost
+from imucald.diagnosis.direct.single_values import LEAST_ROWS, Lost
 from imucald.diagnosis.direct.stuck import STUCK, Fault, is_shown_often, stuck, stuck_fault
 from imucald.diagnosis.direct.successive import stays_until_off
-from imucald.diagnosis.signals import CHANCE, Channel, Mask, Spans, duplicates
+from imucald.diagnosis.signals import CHANCE, SIGNALS, Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
 from imucald.motion.recorded_health import recorded_health
 
@@ -40,8 +40,6 @@ number of iterations."""
 PARTS = 8
 """Number of parts of a drive. The scatter of the slopes in these parts gives the accuracy of the
 slope in the whole drive."""
-LEAST_ROWS = 100
-WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""
@@ -154,9 +152,9 @@ def find_faults(
     """
     moving, none = _moving(samples), lost or {}
     found: list[Fault] = []
-    for name in WATCHED:
+    for name in SIGNALS:
         series = samples.get(name)
-        if series is None or len(series.t) < LEAST_ROWS:
+        if name == "wheel_speeds" or series is None or len(series.t) < LEAST_ROWS:
             continue
         if name in INERTIAL:
             read = none[name].kept(series) if name in none else series

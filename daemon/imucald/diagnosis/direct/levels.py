@@ -22,14 +22,10 @@ from imucald.core.samples import QUANTITIES
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.beside_file import short, six, with_entries
 from imucald.diagnosis.fit.chance import Answer
-from imucald.diagnosis.signals import Channel, DriveSignals, Mask
+from imucald.diagnosis.signals import SIGNALS, Channel, DriveSignals, Mask
 from imucald.model.leaves import GAP_QUANTILES, Leaves
 from imucald.model.model import VehicleModel
 
-SIGNALS = (
-    "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
-    "longitudinal_accel",
-)  # fmt: skip
 OF_WHEELS = ("speed", "wheel_speeds")
 """Signals that are 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
