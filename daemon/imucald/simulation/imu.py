@@ -145,9 +145,7 @@ def _finished(
         values += noise * (triad.noise_density * math.sqrt(0.5 * triad.rate_hz))
     if triad.full_scale is not None:
         np.clip(values, -triad.full_scale, triad.full_scale, out=values)
-    values = quantised(values, triad.lsb)
-    kept = timing.kept
-    return Series(timing.stamp[kept], values[timing.source[kept]])
+    return timing.series(quantised(values, triad.lsb))
 
 
 def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:

@@ -185,6 +185,12 @@ def losses(gram: Array, x: Array) -> Array:
     return np.asarray(0.5 * np.sum((gram @ z[:, :, None])[:, :, 0] * z, axis=1))
 
 
+def explained(gram: Array, x: Array) -> float:
+    """Return the nats by which parameters x (Q,) reduce the loss of all blocks (B, Q+1, Q+1)."""
+    total = gram.sum(axis=0)
+    return float(total[1:, 0] @ x - 0.5 * x @ total[1:, 1:] @ x)
+
+
 def fitted(gram: Array, low: Array, high: Array) -> Array:
     """Return the parameters (Q,) that fit the blocks (B, Q+1, Q+1) within bounds."""
     total = gram.sum(axis=0)

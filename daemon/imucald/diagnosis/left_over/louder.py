@@ -47,10 +47,6 @@ OF_MEDIAN = 2.0 / np.pi
 """Ratio of the variance of the mean to the variance of the median, for normal variables."""
 SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
           2: "half of the segments have"}  # fmt: skip
-FAR = 6.0
-LASTING = np.linspace(-FAR, FAR, 121)
-"""Possible common differences between all segments and the model file, in standard deviations."""
-WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def _row(name: str, band: int) -> FamilyRow:
@@ -168,5 +164,7 @@ def _chance(x: float, k: int, n: int, spread: float, lasting: float, known: floa
     """Return the chance that the k-th largest of n values is x or more. Single segments scatter
     with the spread that the model file states (Student's t distribution). All segments together
     scatter by the uncertainty of both medians."""
-    each = stdtr(known, (lasting * LASTING - x) / max(spread, 1e-9))
-    return float(WEIGHT @ betainc(k, n - k + 1, each) + ndtr(-FAR))
+    common = np.linspace(-6.0, 6.0, 121)  # standard deviations
+    weight = np.exp(-0.5 * common**2)
+    each = stdtr(known, (lasting * common - x) / max(spread, 1e-9))
+    return float(weight / weight.sum() @ betainc(k, n - k + 1, each) + ndtr(common[0]))
