@@ -181,7 +181,8 @@ def _begun(
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
-    model_now = _with_faults(model, faults)
+    changes = {k: x for part in faults for fault in part for k, x in fault.changes.items()}
+    model_now = model.with_changes(changes) if changes else model
     report(0.08, "stops")
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
@@ -239,15 +240,6 @@ class _Late:
     def __call__(self) -> bool:
         self.was |= time.process_time() > self.until
         return self.was
-
-
-def _with_faults(model: VehicleModel, faults: Sequence[Sequence[Fault]]) -> VehicleModel:
-    """Return the model file with the faults written into it."""
-    changes: dict[str, object] = {}
-    for part in faults:
-        for fault in part:
-            changes |= fault.changes
-    return model.with_changes(changes) if changes else model
 
 
 def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | None) -> State:

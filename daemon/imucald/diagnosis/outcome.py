@@ -111,7 +111,11 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
         keys = [f"{stem}.{axis}" for axis in "xyz"]
         # A parameter that was not fitted gets the deviation of a uniform distribution over its
         # tolerance.
-        own = [cause.parameters.get(k) or _as_stated(stated, k) for k in keys]
+        tolerances = [tolerance(stated, key) for key in keys]
+        own = [
+            cause.parameters.get(k) or _estimated(stated, k, 0.0, tau / math.sqrt(3.0), tau)
+            for k, tau in zip(keys, tolerances, strict=True)
+        ]
         before, after = (np.array(getattr(getattr(m, section), name)) for m in (stated, written))
         fitted = R.T @ [p.value for p in own]
         std, tau = (np.sqrt((R.T**2) @ [x**2 for x in each])
@@ -122,11 +126,6 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
                 float(value_now[i]), float(std[i]), own[i].unit, float(before[i]), float(tau[i])
             )
     return replace(cause, along_sensor=made)
-
-
-def _as_stated(model: VehicleModel, key: str) -> Estimated:
-    tau = tolerance(model, key)
-    return _estimated(model, key, 0.0, tau / math.sqrt(3.0), tau)
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:

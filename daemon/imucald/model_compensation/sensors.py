@@ -127,7 +127,7 @@ class SensorCorrection:
         out: list[Sample] = []
         refused: list[str] = []
         wheels: Sequence[float] | None = None
-        for channel, values in sorted(samples, key=_rank):
+        for channel, values in sorted(samples, key=lambda s: _FIRST.get(s[0], 9)):
             found = through(self._chains.get(channel, ()), t, values)
             if channel == "wheel_speeds":
                 wheels = found
@@ -218,10 +218,6 @@ class SensorCorrection:
             gyro = out["gyro"]
             taken_off = np.array(self._terms.g_sensitivity) * force
             out["gyro"] = Taken(gyro.values - taken_off, gyro.refused)
-
-
-def _rank(sample: Sample) -> int:
-    return _FIRST.get(sample[0], 9)
 
 
 def _before(order: Order, others: Order) -> NDArray[np.int64]:

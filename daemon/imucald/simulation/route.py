@@ -272,14 +272,6 @@ def _mixed(builder: RouteBuilder, _route: DriveRoute) -> None:
         builder.motorway(builder.uniform(2000.0, 5500.0))
 
 
-def _city(builder: RouteBuilder, _route: DriveRoute) -> None:
-    builder.city_block()
-
-
-def _motorway(builder: RouteBuilder, _route: DriveRoute) -> None:
-    builder.motorway(builder.uniform(20_000.0, 60_000.0))
-
-
 def _straight_only(builder: RouteBuilder, _route: DriveRoute) -> None:
     speed = builder.uniform(8.0, 22.0)
     builder.straight(builder.uniform(80.0, 300.0), speed)
@@ -299,8 +291,8 @@ def _circles(builder: RouteBuilder, route: DriveRoute) -> None:
 
 _KINDS: dict[str, Callable[[RouteBuilder, DriveRoute], None]] = {
     "mixed": _mixed,
-    "city": _city,
-    "motorway": _motorway,
+    "city": lambda builder, _route: builder.city_block(),
+    "motorway": lambda builder, _route: builder.motorway(builder.uniform(20_000.0, 60_000.0)),
     "straight_only": _straight_only,
     "circles": _circles,
 }

@@ -291,7 +291,11 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     stated = float(message.loss)
     chance = 5.0 * np.sqrt(max(stated, 1e-4) * sent)
     loses = lost >= LOST_FEWEST and lost - stated * sent > max(LOST_TOLERANCE * sent, chance)
-    if loses and not _has_other_rate(steps):
+    # If long steps follow each other, the sender has changed its rate and loses no frames. After
+    # most losses, a step of one cycle follows.
+    wide = steps > 1.0
+    has_other_rate = wide[:-1].any() and wide[1:][wide[:-1]].mean() > 0.5
+    if loses and not has_other_rate:
         share = lost / sent
         yield Fault(
             "dropouts", name, {f"{name}.loss": (share, float(np.sqrt(share / sent)), "1")},
@@ -314,11 +318,3 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             {} if has_holes else {key: ppm}, (), abs(off) / CLOCK_PPM * 10.0,
             against=("frames are missing, so they were counted by their time stamps",) * has_holes,
         )  # fmt: skip
-
-
-def _has_other_rate(steps: Array) -> bool:
-    """True if long steps follow each other. The sender has then changed its rate, and no frames are
-    lost. After most random losses or burst losses, a step of one cycle follows. steps: (N,)
-    [cycles]."""
-    wide = steps > 1.0
-    return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)

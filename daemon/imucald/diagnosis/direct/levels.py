@@ -104,15 +104,6 @@ def step_of(levels: Array) -> float:
     return step if len(near) >= LEAST_GAPS and whole.mean() >= ON_STEPS else 0.0
 
 
-def is_one_grid(levels: Array, step: float) -> bool:
-    """True if all levels are on one grid from end to end. Readings that were rotated after rounding
-    form clusters: their gaps are equal, but do not add up to a grid."""
-    code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
-    slope, start = np.polyfit(code, levels, 1)
-    off = np.abs(levels - start - slope * code)
-    return bool((off <= OFF_STEP * step).mean() >= ON_STEPS)
-
-
 # against the file --------------------------------------------------------------------------------
 
 
@@ -182,7 +173,13 @@ def hole(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
     above 1 km/h only."""
     levels = levels_of(signal.values)
     step = step_of(levels)
-    if step == 0.0 or not is_one_grid(levels, step):
+    if step == 0.0:
+        return
+    # Readings that were rotated after rounding form clusters: their gaps are equal, but do not add
+    # up to one grid from end to end.
+    code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
+    slope, start = np.polyfit(code, levels, 1)
+    if (np.abs(levels - start - slope * code) <= OFF_STEP * step).mean() < ON_STEPS:
         return
     x = signal.values
     low = np.minimum(x[1:], x[:-1])[signal.is_next]

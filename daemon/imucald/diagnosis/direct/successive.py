@@ -100,7 +100,9 @@ def _of_triad(
     name: str, drive: DriveSignals, model: VehicleModel
 ) -> Iterator[tuple[str, tuple[Array, Array]]]:
     channel = drive.channels[name]
-    t, table = channel.t, _along_vehicle(channel.t, channel.values, model)
+    t, table = channel.t, channel.values @ mount_of(model).T
+    for start, R in mounts(model.mount)[1:]:
+        table[t >= start] = channel.values[t >= start] @ R.T
     good = channel.good()
     v = np.interp(t, drive.knots.t, np.abs(drive.knots.values))
     edges = np.searchsorted(t, np.arange(t[0], t[-1], SEGMENT_S))
@@ -118,14 +120,6 @@ def _of_triad(
     for i, axis in enumerate("xyz"):
         ratio = np.exp(1.5 * (logs[:, i] - logs.mean(axis=1)))  # of one to the two others
         yield f"changes of {name}_{axis} at {rate:g} Hz", (np.array(speeds), ratio)
-
-
-def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
-    """Rotate vectors (N, 3) into the vehicle's axes."""
-    made = table @ mount_of(model).T
-    for start, R in mounts(model.mount)[1:]:
-        made[t >= start] = table[t >= start] @ R.T
-    return made
 
 
 def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:

@@ -19,7 +19,7 @@ from imucald.core.samples import GRAVITY, QUANTITIES
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.equations.motion import NONE, VehicleMotion
 from imucald.diagnosis.equations.reading import Reader
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Mask
 from imucald.drive.equations import slope
 from imucald.drive.single_track import SLOW_MPS
 
@@ -88,7 +88,12 @@ class Forward(Reader):
         left = np.where(masks["accel_x"], _without(base, tilt)["accel_x"], 0.0)
         count = max(1, int(2.0 * self.rows * STEP_S * top_hz))
         power = (dct(left, type=2, axis=1, norm="ortho")[:, :count] ** 2).sum(axis=1) / self.rows
-        noise = _slope_noise(self.drive.knots, top_hz)
+        # Upper limit of the mean square slope of the speed's white noise: a second difference
+        # contains six times the noise variance. A spectrum of 2 s^2 T, times (2 pi f)^2, up to
+        # top_hz.
+        knots = self.drive.knots
+        white = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
+        noise = 2.0 * white * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0
         return np.asarray(np.clip(noise / np.maximum(power, 1e-30), 0.0, 1.0))
 
     def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
@@ -207,12 +212,3 @@ def _without(found: Residuals, tilt: Array) -> dict[str, Array]:
     for name, (first, second) in found.tilt.items():
         made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
     return made
-
-
-def _slope_noise(knots: Channel, top_hz: float) -> float:
-    """Return an upper limit of the mean square slope of the speed that comes from white noise, up
-    to a frequency [m^2/s^4]. A second difference contains six times the noise variance, and also
-    the vehicle's jerk."""
-    power = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
-    # A spectrum of 2 s^2 T, times (2 pi f)^2, up to top_hz.
-    return 2.0 * power * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0

@@ -232,20 +232,17 @@ def lines(left: Remains) -> Iterator[Answer]:
             continue
         z = left_of_known(z[good], known[good])
         hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
-        asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, left.state))
+        to_hz = BAND_HZ[1]
+        if "speed" in equation.takes:
+            # The slope of the speed shows no more than the sample rate of the speed allows.
+            periods = (d.channels["speed"].period_s for d in left.state.drives)
+            to_hz = min(to_hz, *(CARRIED / period for period in periods))
+        asked = (hz >= BAND_HZ[0]) & (hz <= to_hz)
         for s, low, high in cut_offs(left.state.changes):
             if s in equation.takes:
                 asked &= (hz < low) | (hz > high)
         if asked.any():
             yield _of_line(name, z, hz, np.flatnonzero(asked), PARAMETERS[equation.zero].tolerance)
-
-
-def _to_hz(name: str, state: State) -> float:
-    """Return the upper frequency for an equation [Hz]. For the equation with the slope of the
-    speed, the sample rate of the speed limits this frequency."""
-    if "speed" not in EQUATIONS[name].takes:
-        return BAND_HZ[1]
-    return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
 
 
 def _of_line(name: str, z: Spectra, hz: Array, asked: Index, tau: float) -> Answer:

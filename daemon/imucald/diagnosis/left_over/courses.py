@@ -141,19 +141,16 @@ def _step(x: Scores) -> Course | None:
     image, info = by[:, there] / np.sqrt(info[there]), info[there]
     z = np.abs(x.s @ image)
     best = int(z.argmax())
+    segment, table = LEAST_SIDE + int(there[best]), x.table
+    moment = f"{table.start_s[segment]:.0f} s"
+    if table.drive.any():
+        moment += f" of drive {int(table.drive[segment]) + 1}"
     noise = np.sqrt(max(float(x.s @ x.s) / B, 1e-300)) * np.linalg.norm(image, axis=0)
     return Course(
         image, lambda z: np.asarray(np.abs(z).max(axis=1)), float(z[best] / np.sqrt(info[best])),
         lambda limit: float(2.0 * norm.sf(limit * np.sqrt(info) / noise).sum()),
-        f"differs by {{}} from {_moment(x.table, LEAST_SIDE + int(there[best]))} on",
+        f"differs by {{}} from {moment} on",
     )  # fmt: skip
-
-
-def _moment(table: Table, segment: int) -> str:
-    """Return the start of a segment in words. With several drives, the text also names the
-    drive."""
-    at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
-    return at if not table.drive.any() else f"{at} of drive {drive + 1}"
 
 
 COURSES: tuple[tuple[Callable[[Scores], Course | None], float], ...] = (

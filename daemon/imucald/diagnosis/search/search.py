@@ -247,7 +247,12 @@ def _grown(
         if best is None:
             break
         alike = _alike(best, state.last)
-        best, edge = _from_the_edge(problem, state, best)
+        edge: dict[str, float] = {}
+        if not best.is_plausible and best.hypothesis.is_plain:
+            # Its step leads beyond its plausible range, so it is tested again at the edge.
+            again, step = where_it_leads(state, problem, best)
+            if again.named and again.is_plausible:
+                best, edge = again, step
         chosen = next(
             (t for t in [best, *alike] if t.is_plausible and t.hypothesis.name not in fallen),
             None,
@@ -354,15 +359,6 @@ def _where_it_leads(problem: Problem, state: State) -> Trial | None:
     found = [where_it_leads(state, problem, t)[0] for t in state.last if t.may_lead]
     passing = [t for t in found if t.named and t.is_plausible]
     return max(passing, key=lambda t: t.gain.sum(), default=None)
-
-
-def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
-    """Test a cause again at the edge of its plausible range if its step leads beyond this range.
-    Returns the trial, and the step to the tested place; no step if the second test did not pass."""
-    if best.is_plausible or not best.hypothesis.is_plain:
-        return best, {}
-    again, step = where_it_leads(state, problem, best)
-    return (again, step) if again.named and again.is_plausible else (best, {})
 
 
 def _is_near(best: Trial, other: Trial) -> bool:

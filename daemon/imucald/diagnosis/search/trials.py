@@ -213,18 +213,17 @@ def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial
         while best is not None and best.shown > best.needed:
             beside = [t for t in own if not set(t.hypothesis.keys) & set(best.hypothesis.keys)]
             asked += len(beside)
-            more = [tried(problem, _both(best.hypothesis, t.hypothesis), base, asked)
-                    for t in beside]  # fmt: skip
+            one = best.hypothesis
+            more = [
+                tried(problem, Hypothesis(one.name, (*one.keys, *h.keys),
+                                          (*one.directions, *h.directions)), base, asked)
+                for h in (t.hypothesis for t in beside)
+            ]  # fmt: skip
             following = max(more, key=lambda t: t.gain.sum(), default=None)
             if following is None or without_best(following.gain - best.gain) <= best.needed:
                 break
             made.append(best := following)
     return made
-
-
-def _both(one: Hypothesis, other: Hypothesis) -> Hypothesis:
-    directions = (*one.directions, *other.directions)
-    return Hypothesis(one.name, (*one.keys, *other.keys), directions)
 
 
 def _reach(table: Table, h: Hypothesis) -> Array:
