@@ -20,6 +20,7 @@ from imucald.model.model import VehicleModel
 from imucald.model.sensors import REFERENCE_DEGC, Temperature, TriaxialSensor
 from imucald.model.vehicle import Mount
 from imucald.simulation.body import BodyMotion
+from imucald.simulation.driver import SHIFT_SPEEDS_MPS
 from imucald.simulation.filters import butterworth, filtered, generator
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 
@@ -29,7 +30,6 @@ VIBRATION_CORNER_HZ = 2.0
 decreases."""
 IDLE_HZ = 26.0
 """Frequency of the second engine order of a four-cylinder engine that idles at 780 1/min [Hz]."""
-GEAR_UPPER_MPS = (4.5, 8.5, 13.5, 19.0)
 GEAR_HZ_PER_MPS = (9.0, 5.5, 3.9, 2.9, 2.1)
 
 Mounts = Sequence[tuple[float, Matrix3]]
@@ -161,7 +161,7 @@ def _engine(speed: Array, rate: float, phase: float) -> Array:
     """Return a sine of the second engine order. The frequency is the idle frequency at rest, and
     depends on speed and gear in motion."""
     v = np.abs(speed)
-    per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(GEAR_UPPER_MPS, v)]
+    per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(SHIFT_SPEEDS_MPS, v)]
     frequency = np.maximum(IDLE_HZ, per_mps * v)
     result: Array = np.sin(2.0 * np.pi * (phase + np.cumsum(frequency) / rate))
     return result

@@ -16,8 +16,6 @@ from imucald.core.arrays import Array
 from imucald.model.vehicle import DriveRoute
 from imucald.simulation.filters import generator
 
-FINE_STEP_M = 0.5
-COARSE_STEP_M = 1.0
 COARSE_FROM_MPS = 14.0
 """Speed below which nodes are 0.5 m apart [m/s]. Above this speed, nodes are 1 m apart."""
 LANE_WIDTH_M = 3.5
@@ -90,7 +88,7 @@ class RouteBuilder:
         piece."""
         route = self._route
         speed *= route.speed_factor
-        step = COARSE_STEP_M if speed >= COARSE_FROM_MPS else FINE_STEP_M
+        step = 1.0 if speed >= COARSE_FROM_MPS else 0.5
         n = max(2, round(length / step))
         share = (np.arange(n) + 0.5) / n
         stops = np.zeros(n)

@@ -27,8 +27,6 @@ from imucald.motion.recorded_health import recorded_health
 
 WANDER_S = 0.01
 """Largest drift of time stamps away from a steady cycle [s]."""
-NEAR = 0.4
-"""Largest part of a cycle by which a frame is late. Beyond half a cycle, it is early."""
 ADDED_UP = 0.5
 """Limit of the variance ratio: variance of a sum of many steps divided by the sum of their
 variances (Lo and MacKinlay 1988). The ratio is 1 if each step begins when the previous step ends (a
@@ -119,7 +117,7 @@ def _adds_up(steps: Array, cycle: float) -> bool:
     """True if delays add up from frame to frame. No clock then triggers the frames, and the mean
     step is not the cycle time of a clock. steps: (N,) [s]."""
     late = late_steps(steps, cycle)
-    late = late[np.abs(late) < NEAR * cycle]
+    late = late[np.abs(late) < 0.4 * cycle]  # beyond half a cycle, a frame is early
     late = late - late.mean()
     total = np.concatenate([[0.0], np.cumsum(late)])
     many = min(NEIGHBOURS, len(late) // 2)

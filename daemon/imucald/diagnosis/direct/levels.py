@@ -43,8 +43,6 @@ OBD_STEP = 1.0 / 3.6
 FEW_CHANGES = 0.25
 """Quantile of the signal's changes. A hole must be wider than this quantile, because noise alone
 may cause smaller changes."""
-LEAST_CODES = 2
-"""Smallest number of codes in a hole: any converter may have single missing codes."""
 
 
 @dataclass(frozen=True)
@@ -187,8 +185,9 @@ def hole(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
     changes = (high - low)[high - low > 0.5 * step]
     if not len(changes):
         return
-    # A signal that is rounded twice misses codes over its whole range.
-    twice = (LEAST_CODES + 0.5) * max(step, float(np.median(np.diff(levels))))
+    # A signal that is rounded twice misses codes over its whole range, and any converter may have
+    # single missing codes.
+    twice = 2.5 * max(step, float(np.median(np.diff(levels))))
     least = max(twice, float(np.quantile(changes, FEW_CHANGES)))
     wide = [
         (a, b)

@@ -36,8 +36,6 @@ most frequent of these levels."""
 WINDOW, LEAST_WINDOWS = 100, 10
 """Number of samples in a window for the noise, which gives the noise to 10 %; smallest number of
 windows."""
-QUIETEST = 0.1
-"""Quantile of the windows' noise that is used as the noise of the sensor."""
 LEAST_SHOWN = 300
 
 
@@ -189,5 +187,5 @@ def noise_about(x: Array, value: float = np.nan) -> float:
     sums = (steps * away)[:size].reshape(-1, WINDOW).sum(axis=1)
     full = there > WINDOW // 2
     if full.sum() >= LEAST_WINDOWS:
-        return float(np.sqrt(np.quantile(sums[full] / there[full], QUIETEST)))
+        return float(np.sqrt(np.quantile(sums[full] / there[full], 0.1)))
     return float(np.sqrt(steps[away].mean())) if away.sum() >= LEAST_SHOWN else 0.0

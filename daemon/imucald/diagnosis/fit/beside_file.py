@@ -29,7 +29,6 @@ segments count as one."""
 MEDIAN = float(np.sqrt(0.5 * np.pi))
 """Ratio of the standard deviation of the median to that of the mean, for normal variables."""
 LEAST_RMS = 1e-9
-INSIDE = (0.05, 0.95)
 Left = dict[str, tuple[Array, Array]]
 """By name: mean speed (B,) of each segment, and the numbers (B, 6) of each segment."""
 
@@ -112,7 +111,7 @@ def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict
     made = {}
     for name, (v, rms) in left.items():
         if len(v) >= least:
-            low, high = np.quantile(v, INSIDE)
+            low, high = np.quantile(v, (0.05, 0.95))
             logs = np.log(np.maximum(rms, LEAST_RMS))
             middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
             speeds = (round(float(low), 2), round(float(high), 2))

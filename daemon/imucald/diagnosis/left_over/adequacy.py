@@ -30,8 +30,6 @@ HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
-PAIR = "accel_y", "yaw_rate"
-"""Equations without a common sensor, if gyroscope and yaw rate are both present."""
 AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
 """Lateral acceleration from the air, per square of the speed and per angle of attack [1/m]: half
 the density, 2.2 m^2, 2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road
@@ -41,8 +39,7 @@ CALM, GUSTY = 0.02, 0.10
 Saunders, On-road Turbulence, SAE 2008-01-0475)."""
 EDDY_M = 10.0
 """Length scale of the lateral turbulence [m] (same source)."""
-FAST_MPS = 30.0
-MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
+MOST_LEFT_MPS2 = GUSTY * AIR * 30.0**2
 """Limit of the lateral residual after a fit of all parameters within their tolerances [m/s^2]: the
 effect of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added to
 this limit."""
@@ -135,7 +132,7 @@ def shared(left: Remains) -> Iterator[Answer]:
     v = np.concatenate([f.drive.knots.values for f in forwards])
     calm, fast = _calm(v), float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 2)))
     hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
-    first, second = PAIR
+    first, second = "accel_y", "yaw_rate"
     if not {first, second, "_steering"} <= set(spectra):
         return
     known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)

@@ -39,7 +39,6 @@ from imucald.model.leaves import BANDS_HZ, Leaves
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations whose residuals contain no effect of the road or the springs if gravity is integrated
 with a gyroscope."""
-CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
 """Smallest number of blocks: with fewer blocks, the median and the one block that must not decide
 cannot be separated."""
@@ -85,7 +84,7 @@ def uneven(left: Remains) -> Iterator[Answer]:
     tolerances. A single segment in fifteen must not decide the result.
     """
     table, z = left.table, left.z
-    if CARRIED_BY not in table.plain:
+    if "gyro_x" not in table.plain:
         return  # the residuals contain each segment's road slope
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)

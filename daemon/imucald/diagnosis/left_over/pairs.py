@@ -34,8 +34,6 @@ from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-SMOOTH_S = 1.0
-"""Averaging time of turning and acceleration [s]. Manoeuvres last longer than this."""
 CRAWL_MPS = 3.0
 SHAKEN_S = (3.0, 10.0)
 """Averaging times of the vibration [s]. The longest is the time whose effects the tilt of a segment
@@ -65,16 +63,13 @@ share, the column's value depends on the errors of the catalogue's columns (a va
 factor of ten; Marquardt 1970)."""
 HALF_KMH = 0.5 / 3.6
 """Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
-BEND_MPS = 10.0
 OWN: Mapping[str, tuple[tuple[str, ...], str, float]] = {
     "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
     "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
-    "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
+    "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / 10.0),
 }
 """Zero errors whose condition is the sign of the signal itself. A gain error has the same effect at
 large values."""
-PRIOR = 3.0
-"""Information of a uniform distribution within a half width, times the square of the half width."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +134,8 @@ def pairs(left: Remains) -> Iterator[Answer]:
     parts = rows_with(forwards, model, table, lambda f: _added(f, model, asked, next(each)))
     x = np.tile(left.problem.fit(), (blocks, 1))  # differences that fit each segment
     x[table.number] = -left.z[:, 1:]
-    prior = np.diag(PRIOR / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
+    # Information of a uniform distribution within a half width.
+    prior = np.diag(3.0 / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
     yield from _answers(asked, *_scores(parts, x, prior), model)
 
 
@@ -380,7 +376,7 @@ def _accelerating(f: Forward) -> Array:
 
 
 def _smooth(x: Array) -> Array:
-    n = round(SMOOTH_S / STEP_S)
+    n = round(1.0 / STEP_S)  # manoeuvres last longer than a second
     return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
 
 

@@ -34,7 +34,6 @@ from imucald.drive.equations import Complex
 from imucald.drive.single_track import frequencies
 from imucald.mount.mount_words import SD_95
 
-ORDERS = 1, 2
 LONGER = tuple(2.0 ** (k / 3.0) for k in range(-1, 4))
 """Tested time constants, relative to the found delay. Near its cut-off frequency, a filter's delay
 is smaller than its time constant."""
@@ -142,7 +141,7 @@ def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str,
     """Yield, for each filter, its effect on signals that are read with the equal delay instead."""
     level = {signal: level_of(f, signal) for signal in late}
     s = frequencies(len(f.t))
-    for order in ORDERS:
+    for order in (1, 2):
         for longer in LONGER:
             yield {n: _more(y, s, late[n], longer * late[n], order) for n, y in level.items()}, 1.0
 
