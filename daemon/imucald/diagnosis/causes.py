@@ -1,13 +1,13 @@
 """The catalogue of possible errors of a model file, as data.
 
-Each parameter has one row with its unit, its `tolerance` and the source of the tolerance, its
-`plausible` range for a real vehicle or sensor, and the signals that it needs. The `tolerance` is
-the half width of the error that a correct model file may have. Each cause has one row with its
-parameters and its texts. The fit reads the rows and has no special case for any cause.
+Each parameter has one row with its unit, the half width of the error that a correct model file may
+have (`tolerance`) with its source, its `plausible` range for a real vehicle or sensor, and the
+signals that it needs. Each cause has one row with its parameters and its texts. The fit has no
+special case for any cause.
 
 Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), because a
-drive shows the components along these axes separately. Vectors in sensor axes have an index
-instead. A key that begins with `_` has no place in the model file.
+drive shows these components separately. Vectors in sensor axes have an index instead. A key that
+begins with `_` has no place in the model file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Improvement of the prediction by the written model file alone, without a further fit. `rms_after`
-is the residual of these drives with the written model file. A new comparison with this file gives
-the same residual. The improvement is measured on data outside the fit (cross-validation): the found
-parameters are fitted without one fold, and this fold is predicted with these parameters alone.
+"""Improvement of the prediction by the written model file alone, without a further fit.
+
+`rms_after` is the residual of these drives with the written model file. The improvement is measured
+on data outside the fit: the found parameters are fitted without one fold, and predict this fold.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Evidence from a signal's values alone: the levels of its converter.
 
-The levels of a converter, or of a unit that forwards its values, are one step apart. If a later
-drive has coarser steps than the drives of the model file, there is a new device or setting between
-sensor and log. The same is true if the signal is 0 up to a higher value. If a signal jumps over a
-range of values repeatedly and never shows a value in it, the range is missing. An extended model
-file contains the levels of its own drives.
+The levels of a converter are one step apart. If a later drive has coarser steps than the drives of
+the model file, or is 0 up to a higher value, there is a new device or setting between sensor and
+log. If a signal jumps over a range of values repeatedly and never shows a value in it, the range is
+missing. An extended model file contains the levels of its own drives.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Find single values of a sensor that are no measurement: lost readings, and values that it holds.
 
-A lost reading is the value that a sensor outputs when a connector opens, or a default value. A true
-signal reaches a value through neighbouring values. A lost reading jumps to the invalid value and
-back from any other value, without values in between. A held value is one that the sensor shows far
-more often than the neighbouring values. Causes are a dead zone, a default value that is sent
-without a measurement, or missing codes of a converter.
+A lost reading is the value that a sensor outputs when a connector opens. A true signal reaches a
+value through neighbouring values; a lost reading jumps to the invalid value and back from any other
+value. A held value is one that the sensor shows far more often than the neighbouring values,
+because of a dead zone, a default value, or missing codes of a converter.
 """
 
 from __future__ import annotations

@@ -5,17 +5,14 @@ is stuck if it stays at one value longer than it normally does and ends this sta
 change. A speed is stuck only if the inertial sensors contradict it: on a motorway, a coarse speed
 stays at one value for minutes.
 
-A stay is a run of equal values. At constant speed, a signal stays at a value longer than in town,
-so the lengths of its stays have a heavier tail than a geometric distribution. The model of a stay
-therefore has a probability of going on that is drawn from a beta distribution, once for each stay.
-The lengths then have a beta-geometric distribution (Waring's distribution; Weinberg and Gladen
-1986) with a tail n^-b. The distribution is nearly geometric if the log shows no heavier tail.
+A stay is a run of equal values. The probability that a stay goes on is drawn from a beta
+distribution, once for each stay, because stays are longer at constant speed than in town. The
+lengths then have a beta-geometric distribution (Waring; Weinberg and Gladen 1986), with a tail
+n^-b.
 
 The speed is predicted from accelerometer and gyroscope. The residual contains noise and the effect
-of the road, and its size is about the same throughout a drive. If the speed signal repeats an old
-value, the residual is as large as the hidden change of speed. The mount is not known here, so the
-relation between the speed and the three axes is fitted to the drive, with the rotation of gravity
-from the gyroscope.
+of the road. If the speed signal repeats an old value, the residual is as large as the hidden change
+of speed. The mount is not known here, so the relation of the speed to the three axes is fitted.
 """
 
 from __future__ import annotations

@@ -6,15 +6,11 @@ samples, relative to the other axes, depends on vehicle and sensor, so it is the
 `changes_missing`, `jumps_alone`: small changes are more common than large changes in every signal,
 also if each change is divided by the changes just before and after it.
 
-`follows`: each segment of a drive gives six numbers without a unit. The first number is the share
-of values that repeat the previous value. The second number is the share of values that continue the
-straight line of the two previous values. Both shares are compared with chance for this step and
-noise. The other four numbers describe the tails of the changes, and the share of a change that the
-next change reverses. A road of the next roughness class enlarges all changes and does not change
-these numbers. They show a change between sensor and log, such as a filter, a filled gap or a held
-value. No equation of motion shows such a change.
-
-A model file contains the medians over the segments of its own drives.
+`follows`: each segment of a drive gives six numbers without a unit: the shares of values that
+repeat the previous value or continue a straight line, compared with chance, the tails of the
+changes, and the share of a change that the next change reverses. A rougher road enlarges all
+changes and does not change these numbers. A filter, a filled gap or a held value does. No equation
+of motion shows such a change.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Compare segments of a drive with the segments from which a model file was made.
 
 For several kinds of numbers, a model file contains the median over the segments of its own drives
-and the scatter between segments. This module makes, writes and compares such entries for any kind
-of number. A `Family` has one `FamilyRow` for each of its numbers.
+and the scatter between segments. A `Family` is one kind; it has one `FamilyRow` for each number.
 """
 
 from __future__ import annotations

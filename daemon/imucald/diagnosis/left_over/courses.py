@@ -1,11 +1,10 @@
 """Find zero errors, gains and delays that change from segment to segment of a drive.
 
-A parameter of the model file is one number for the whole drive. Each segment alone gives an
-estimate of this number. If the estimates differ by more than their errors and the tolerances of a
-correct model file, there is an effect that no parameter describes. Each row of `COURSES` tests one
-pattern of differences: a linear map of the segments' scores, and the size of its result. The chance
-of each result is computed from permutations of the same segments. Every zero error and gain is
-tested, even if its value for the whole drive is correct.
+Each segment alone gives an estimate of a parameter. If the estimates differ by more than their
+errors and the tolerances of a correct model file, there is an effect that no parameter describes.
+Each row of `COURSES` tests one pattern of differences: a linear map of the segments' scores, and
+the size of its result. The chance of each result is computed from permutations of the same
+segments.
 """
 
 from __future__ import annotations

@@ -2,10 +2,9 @@
 the drives of the model file.
 
 For each equation and frequency band, a model file may contain the median residual over the segments
-of its drives, with all parameters fitted in their box, and the scatter between segments. Roads also
-differ: from one class of ISO 8608 to the next, the rms doubles. If the median residual of a later
-drive is larger than scatter and roads allow, the drive contains an effect that the model file does
-not contain. No particular shape of the residual is assumed.
+of its drives and the scatter between segments. Roads also differ: from one class of ISO 8608 to the
+next, the rms doubles. If a later drive leaves more than scatter and roads allow, it contains an
+effect that the model file does not contain.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Find a speed signal that oscillates once or twice per wheel turn.
 
-Order analysis (Fyfe and Munck, Analysis of computed order tracking, 1997): an effect of the wheel
-is periodic in distance, not in time. Between two samples a wheel may turn several times, and
-aliasing then moves the oscillation to any frequency. The waves are therefore evaluated at the
-positions of the samples. The distance is integrated from the speed. The integrated distance is
-accurate enough to keep the phase of a wave within a segment. Between segments, the phase is free. A
-road may be periodic with 4 m and more (concrete slabs), so such wavelengths are not tested.
+An effect of the wheel is periodic in distance, not in time (order analysis; Fyfe and Munck 1997).
+Between two samples a wheel may turn several times, and aliasing then moves the oscillation to any
+frequency. The waves are therefore evaluated at the positions of the samples, from the integrated
+speed. Between segments, the phase is free. A road may be periodic with 4 m and more (concrete
+slabs), so such wavelengths are not tested.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """Test every pair of signals for an error of one signal that depends on the other signal.
 
-A parameter of the model file is one number, and a cause of the catalogue is linear in the signals.
-However, a sensor's error may also depend on the speed, on the direction of turning, or on hard
-driving shortly before. A zero error that depends on another signal is an even or nonlinear function
-of this signal. A gain or a delay that depends on another signal is a product of two signals
-(Volterra terms of second order; as a test of a linear model: Ramsey 1969; Lee, White and Granger
-1993). The zero error, gain and delay of every sensor are tested with every condition, by the
-physics of the equations.
+A sensor's error may depend on the speed, on the direction of turning, or on hard driving shortly
+before. A zero error that depends on another signal is an even or nonlinear function of this signal.
+A gain or a delay that depends on another signal is a product of two signals (Volterra terms of
+second order; as a test of a linear model: Ramsey 1969; Lee, White and Granger 1993).
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
 """Decide whether a late signal has a delay or a low-pass filter, by comparing the likelihoods of
 delay and filter.
 
-A delay x has the phase w x and the gain 1. A low-pass filter of first order has the phase atan(w T)
-and the gain 1/sqrt(1 + (w T)^2). A Butterworth filter of second order has the phase arctan(w T/(1 -
-(w T)^2/2)) and the gain 1/sqrt(1 + (w T)^4/4). Well below the cut-off frequency, all three have the
-delay x = T. The leading differences between the three responses are (w T)^2/2 and (w T)^3/6. A
-found delay is therefore compared with filters of about the same delay. The model with the delay
-gets a further column: the difference between filter and delay, with a factor of 0 (delay) or about
-1 (filter). All delays are free in both cases, so only the shape of the response decides. An
-alternative is ruled out under two conditions. The log-likelihood of the alternative must be lower
-by two standard errors and by the nats that name a cause. The difference in shape must exceed the
-error of the equations. Otherwise both alternatives remain possible. A delay of the speed is never
-ruled out: the speed unit counts pulses, averages and holds values, which has the shape of a filter
-(`css_canmod_164`, delayed artificially by 0.2 s, was found to have a low-pass filter).
+A delay x has the phase w x and the gain 1. Filters of first and second order (Butterworth) have the
+same delay T well below their cut-off frequency; their responses differ from it by (w T)^2/2 and (w
+T)^3/6. A found delay is therefore compared with filters of about the same delay. The model with the
+delay gets a further column: the difference between filter and delay, with a factor of 0 (delay) or
+about 1 (filter). All delays are free in both cases, so only the shape of the response decides. An
+alternative is ruled out if its log-likelihood is lower by two standard errors and by the nats that
+name a cause, and if the difference in shape exceeds the error of the equations. A delay of the
+speed is never ruled out: the speed unit counts pulses, averages and holds values, which has the
+shape of a filter (`css_canmod_164`, delayed artificially by 0.2 s).
 """
 
 from __future__ import annotations

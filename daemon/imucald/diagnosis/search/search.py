@@ -1,11 +1,10 @@
 """Search for causes on a table of blocks: candidates are compared on data outside their fit.
 
-A cause is named under three conditions. The held-out gain of the cause, without the best block in
-fifteen, exceeds chance, corrected for the number of all questions. The parameters of the cause
-leave the box of correct model files. The value of the cause is plausible. A rival is reported with
-the cause if it is within two standard errors of the paired difference, or if it is worse by fewer
-nats than a cause needs to be named. Then the parameters of the cause are freed, and the search
-starts again.
+A cause is named if its held-out gain, without the best block in fifteen, exceeds chance, corrected
+for the number of all questions; if its parameters leave the box of correct model files; and if its
+value is plausible. A rival is reported with the cause if it is within two standard errors of the
+paired difference, or worse by fewer nats than a cause needs to be named. Then the parameters of the
+cause are freed, and the search starts again.
 """
 
 from __future__ import annotations
