@@ -65,10 +65,7 @@ class Forward(Reader):
             motion.vertical(found)
             motion.turning(found)
         motion.vehicle(found)
-        return Residuals({k: motion.once(self._blocks, v) for k, v in found.items()}, tilt)
-
-    def _blocks(self, x: Array) -> Array:
-        return x.reshape(self.blocks, self.rows)
+        return Residuals({k: motion.once(self.in_blocks, v) for k, v in found.items()}, tilt)
 
     def settle(self, tilt: Array, inertial: Array) -> None:
         """Choose the signals for the columns. tilt: (B, 2) tilt z0 of each block. inertial: (B,)
@@ -140,7 +137,7 @@ class Forward(Reader):
         motion = VehicleMotion(self, {}, False)
         x = motion.force[0] + motion.r * motion.v_y - motion.held(motion.slopes)
         y = motion.force[1] - motion.v * motion.r - slope(motion.v_y)
-        means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
+        means = [self.in_blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
         return np.column_stack(means)
 
     def usable(self) -> dict[str, Mask]:

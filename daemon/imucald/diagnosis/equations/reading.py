@@ -104,6 +104,10 @@ class Reader:
         self.known.clear()
         self.reference = None
 
+    def in_blocks(self, x: Array) -> Array:
+        """Return rows (N,) as blocks (B, n)."""
+        return x.reshape(self.blocks, self.rows)
+
     def amount_of_speed(self) -> Array:
         """Return the absolute value of the indicated speed (N,) [m/s]."""
         return np.interp(self.t, self.knots, np.abs(self.drive.knots.values))

@@ -192,23 +192,42 @@ class Rows:
 def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table, list[Forward]]:
     """Evaluate all drives with a model file. Returns the table and the evaluated drives."""
     total = sum(drive.duration_s for drive in drives)
-    seconds = BLOCK_S if total > FEW_S else SHORT_BLOCK_S
-    rows = round(seconds / STEP_S)
-    forwards = [Forward(drive, model, rows) for drive in drives]
+    length = round((BLOCK_S if total > FEW_S else SHORT_BLOCK_S) / STEP_S)
+    forwards = [Forward(drive, model, length) for drive in drives]
     keys = tuple(k for k, row in PARAMETERS.items() if all(drives[0].has(n) for n in row.needs))
     top = {name: min(_top_hz(drive, name) for drive in drives) for name in EQUATIONS}
-    parts = [rows_of(f, model, keys, top) for f in forwards]
-    merged = {name: joined([part[name] for part in parts]) for name in parts[0]}
-    blocks = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
+    by_drive = [rows_of(f, model, keys, top) for f in forwards]
+    parts = {name: joined([own[name] for own in by_drive]) for name in by_drive[0]}
+    drive = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
     start = np.concatenate([f.t[:: f.rows][: f.blocks] for f in forwards])
-    speeds = [f.amount_of_speed().reshape(f.blocks, f.rows) for f in forwards]
+    speeds = [f.in_blocks(f.amount_of_speed()) for f in forwards]
     moving = np.concatenate([(v > MOVING_MPS).mean(axis=1) for v in speeds])
-    for own in merged.values():
-        own.good &= moving >= MOVING_SHARE
+    for rows in parts.values():
+        rows.good &= moving >= MOVING_SHARE
     levels = np.concatenate([f.levels() for f in forwards])
     for f in forwards:
         f.forget()
-    return _weighed(merged, keys, model, blocks, start, moving, top, levels), forwards
+    bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
+    free = np.zeros(len(keys))
+    # Each equation is divided by its noise, from the residuals of a fit of all parameters.
+    for i in range(PASSES):
+        weights = weights_of(parts, free)
+        gram = {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}
+        whole = np.asarray(sum(gram.values()))
+        if i + 1 < PASSES:
+            total = whole.sum(axis=0)
+            # A fit with implausible values is not accepted, even if it reduces the noise.
+            free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
+    keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
+    table = Table(
+        keys, whole[keep], {n: g[keep] for n, g in gram.items()},
+        start[keep], drive[keep], moving[keep],
+        np.array([tolerance(model, key) for key in keys]),
+        np.array([model_error(model, key) for key in keys]), bounds, top,
+        length * STEP_S, {n: g[keep] for n, g in _plain(parts).items()},
+        levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
+    )  # fmt: skip
+    return table, forwards
 
 
 def _top_hz(drive: DriveSignals, equation: str) -> float:
@@ -270,33 +289,6 @@ def joined(parts: Sequence[Rows]) -> Rows:
 
 
 # weights -----------------------------------------------------------------------------------------
-
-
-def _weighed(
-    parts: Mapping[str, Rows], keys: tuple[str, ...], model: VehicleModel, drive: Index,
-    start: Array, moving: Array, top: Mapping[str, float], levels: Array,
-) -> Table:  # fmt: skip
-    """Divide each equation by its noise. The noise is computed from the residuals of a fit of all
-    parameters."""
-    tolerances = np.array([tolerance(model, key) for key in keys])
-    errors = np.array([model_error(model, key) for key in keys])
-    bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
-    free = np.zeros(len(keys))
-    for i in range(PASSES):
-        weights = weights_of(parts, free)
-        gram = {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}
-        whole = np.asarray(sum(gram.values()))
-        if i + 1 < PASSES:
-            total = whole.sum(axis=0)
-            # A fit with implausible values is not accepted, even if it reduces the noise.
-            free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
-    keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
-    return Table(
-        keys, whole[keep], {n: g[keep] for n, g in gram.items()},
-        start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
-        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
-        levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
-    )  # fmt: skip
 
 
 def tilts_of(
