@@ -175,9 +175,8 @@ def _begun(
     lost = [all_lost(samples) for samples in drives]
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
-    held = _signals(drives, faults, lost, held=True)
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    odd = [*gone.values(), *reported(ODD, RawValues(held, model), partial(report, 0.05))]
+    odd = [*gone.values(), *reported(ODD, RawValues(parts, model), partial(report, 0.05))]
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
@@ -193,13 +192,11 @@ def _begun(
 
 
 def _signals(
-    drives: Sequence[Samples], faults: Sequence[Sequence[Fault]], lost: Sequence[dict[str, Lost]],
-    held: bool = False,
-) -> list[DriveSignals]:  # fmt: skip
+    drives: Sequence[Samples], faults: Sequence[Sequence[Fault]], lost: Sequence[dict[str, Lost]]
+) -> list[DriveSignals]:
     """Return the signals of each drive, without the samples that faults and lost readings make
-    invalid. held: at the end of a range, remove only the samples with the end value, because the
-    sequence of the neighbouring samples is tested."""
-    bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
+    invalid."""
+    bad = [invalid_spans(*each) for each in zip(faults, drives, lost, strict=True)]
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 

@@ -170,14 +170,12 @@ def find_faults(
 
 
 def invalid_spans(
-    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost], held: bool = False
+    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost]
 ) -> dict[str, Spans]:
-    """Return, by signal, the intervals of time that must not be used. held: at the end of a range,
-    return only the samples with the end value."""
+    """Return, by signal, the intervals of time that must not be used."""
     made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
-        own = fault.held if held and fault.held else fault.spans
-        made[fault.signal] = (*made.get(fault.signal, ()), *own)
+        made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
     return made
 
 
@@ -217,9 +215,10 @@ def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterat
         yield Fault(
             "saturation", name, values, text,
             {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
-            spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
+            spans_of(series.t, hit), 0.5 * float(hit.sum()),
         )  # fmt: skip
-    held = _runs_of(series.t, found.stuck & ~hit)
+    t = series.t
+    held = [(float(t[a]), float(t[b - 1])) for a, b in true_runs(found.stuck & ~hit)]
     if spans := [span for span in held if not is_shown_often(series, span)]:
         yield stuck_fault(name, spans)
 
@@ -242,11 +241,6 @@ def _common_range(values: Array, ends: Sequence[float]) -> float:
     size = min(abs(end) for end in ends)
     step = step_of(levels_of(np.abs(values)))
     return size if np.abs(values).max() < size + 1.5 * step + 1e-9 * size else 0.0
-
-
-def _runs_of(t: Array, hit: Mask) -> Spans:
-    """Return the intervals of time that contain exactly these rows."""
-    return tuple((float(t[first]), float(t[after - 1])) for first, after in true_runs(hit))
 
 
 def spans_of(t: Array, hit: Mask) -> Spans:

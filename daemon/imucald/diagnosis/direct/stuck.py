@@ -211,8 +211,6 @@ class Fault:
     """Intervals of time [s] that must not be used."""
     score: float = 50.0
     """Evidence [nats], if known."""
-    held: Spans = ()
-    """At the end of a range: the samples with the end value, without the margin around them."""
     against: tuple[str, ...] = ()
     """Arguments against the fault, as sentences. A fault with such an argument is likely and not
     certain."""
