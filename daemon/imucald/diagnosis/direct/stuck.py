@@ -7,8 +7,8 @@ stays at one value for minutes.
 
 A stay is a run of equal values. The probability that a stay goes on is drawn from a beta
 distribution, once for each stay, because stays are longer at constant speed than in town. The
-lengths then have a beta-geometric distribution (Waring; Weinberg and Gladen 1986), with a tail
-n^-b.
+lengths then have a beta-geometric distribution (Waring's distribution; Weinberg and Gladen 1986),
+with a tail n^-b.
 
 The speed is predicted from accelerometer and gyroscope. The residual contains noise and the effect
 of the road. If the speed signal repeats an old value, the residual is as large as the hidden change
