@@ -9,8 +9,8 @@ from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.cause_keys import mount_of, with_shifts
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.doubts import _may_be_a_low_pass, doubt, unexplained
-from imucald.diagnosis.fit.blocks import EQUATIONS, Table
+from imucald.diagnosis.doubts import doubt, unexplained
+from imucald.diagnosis.fit.blocks import EQUATIONS
 from imucald.diagnosis.fit.intervals import Estimate
 from imucald.diagnosis.fit.score import Hypothesis
 from imucald.diagnosis.outcome import signals_of
@@ -198,35 +198,3 @@ def test_a_cause_that_other_equations_show_by_themselves_stands_beside_an_unexpl
         true[:2], abs=1e-3
     )
     assert "gyro.bias.z" not in state.changes, "only forces show it"
-
-
-KEYS = ("accel.scale.0", "accel.scale.1", "speed.delay_s")
-
-
-def beside_a_delay(shows_upward: float) -> tuple[Table, Trial]:
-    """A gain of two axes along the vehicle, and a delay of the speed that shows forward, where
-    w = 0.4/s, and by a trace upward. shows_upward: of the gain's column there."""
-    n = len(KEYS)
-    grams = {name: np.zeros((4, n + 1, n + 1)) for name in ("accel_x", "accel_z")}
-    grams["accel_x"][:, 2, 2], grams["accel_x"][:, 3, 3] = 1e4, 0.16e4
-    grams["accel_z"][:, 2, 2], grams["accel_z"][:, 3, 3] = shows_upward, 1.0
-    one = np.ones(n)
-    table = Table(
-        KEYS, sum(grams.values()), grams, 30.0 * np.arange(4),
-        np.zeros(4, dtype=int), np.ones(4), 0.01 * one, 0.0 * one, np.tile([-1.0, 1.0], (n, 1)),
-        {}, 30.0, {}, np.zeros((4, 2)), np.arange(4),
-    )  # fmt: skip
-    e = Estimate(0.06 * one[:1], 0.004 * one[:1], 3.0, 9.0, 0.0 * one[:1])
-    h = Hypothesis("accel_scale", KEYS[:1], ({KEYS[0]: 1.0, KEYS[1]: 1.0},))
-    return table, Trial(h, e, np.ones(4), 20.0, 0.01 * one[:1], np.array([[-1.0, 1.0]]), 8.0, 2.0,
-                        0.01 * one[:1], np.arange(4))  # fmt: skip
-
-
-@pytest.mark.parametrize("shows_upward", [0.001, 1.0])
-def test_a_gain_is_no_low_pass_where_a_delay_shows_in_an_equation_in_which_the_gain_does_not(
-    shows_upward,
-):
-    """(w x)^2/2 is 1 % for 0.35 s and 8 % for 1 s; the gain is 6 %, of which 1 % may be."""
-    table, gain = beside_a_delay(shows_upward)
-    assert not _may_be_a_low_pass(table, gain, {"speed.delay_s": 0.35})
-    assert _may_be_a_low_pass(table, gain, {"speed.delay_s": 1.0})

@@ -9,13 +9,14 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from hidden import Effect, hidden_drive
-from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, age, low_pass, with_low_passes
+from imucald.diagnosis.cause_keys import age, low_pass, with_low_passes
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import Diagnosis
 from imucald.diagnosis.search.low_pass import _more
 from imucald.diagnosis.signals import STEP_S
 from imucald.drive.single_track import frequencies
 from imucald.model.model import VehicleModel, model_from_mapping
+from imucald.model.sensors import BUTTERWORTH_S_HZ
 
 BOTH = (("signal_delay", "sensor_lowpass"),)
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.core.samples import Series
-from imucald.model_compensation.time_alignment import TimeAlignment, alignment_shifts
+from imucald.model_compensation.tick_preprocessing import TimeAlignment, alignment_shifts
 from imucald.motion import ticks as tk
 from imucald.motion.column_ticks import ticks_from_samples
 

@@ -9,7 +9,7 @@ import pytest
 
 from imucald.core.samples import GRAVITY
 from imucald.model_compensation import compensation_from_model
-from imucald.model_compensation.suspension import SuspensionFilter
+from imucald.model_compensation.filters import SuspensionFilter
 from imucald.model_compensation.terms import SuspensionTerms
 
 DT = 0.01

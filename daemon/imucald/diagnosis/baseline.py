@@ -21,16 +21,13 @@ from imucald.core.samples import INERTIAL, Samples
 from imucald.diagnosis.cause_keys import plausible
 from imucald.diagnosis.direct.faults import PAUSE_S, clock_of
 from imucald.diagnosis.recording import Recording
+from imucald.diagnosis.signals import SIGNALS
 from imucald.model.model import VehicleModel
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 
-RATES = (
-    "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
-    "longitudinal_accel", "temperature",
-)  # fmt: skip
 NOT_STATED = (
     "mount.lever_arm_m.0", "mount.lever_arm_m.1", "mount.lever_arm_m.2",
     "suspension.squat_gradient", "suspension.dive_gradient", "suspension.roll_gradient",
@@ -40,7 +37,6 @@ ratio and the understeer are not in this list: if both are fitted together, the 
 0.003 rad/(m/s^2)."""
 LARGEST_STD_DEG = 4.0
 """Largest standard deviation of the mount [deg] at which a comparison is possible."""
-SLOWEST_HZ, FASTEST_HZ = 0.2, 1000.0
 
 
 def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> VehicleModel:
@@ -72,14 +68,14 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
     stamps."""
     rates: dict[str, float] = {}
     for recording in recordings:
-        for name in RATES:
+        for name in (*SIGNALS, "temperature"):
             if name in rates or name not in recording.samples:
                 continue
             t = recording.samples[name].t
             if len(t) < 2:
                 continue
             cycle = recording.cycle_s.get(name) or _cycle(t)
-            rates[name] = min(max(1.0 / max(cycle, 1e-3), SLOWEST_HZ), FASTEST_HZ)
+            rates[name] = max(1.0 / max(cycle, 1e-3), 0.2)
     return rates
 
 

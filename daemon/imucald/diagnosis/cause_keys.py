@@ -20,22 +20,17 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import (
     Matrix3,
     angles_from_rotation,
-    rotation_from_angles,
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS, family
+from imucald.diagnosis.signals import SIGNALS
 from imucald.model.model import VehicleModel
-from imucald.model.sensors import LONGEST_DELAY_S
+from imucald.model.sensors import BUTTERWORTH_S_HZ, LONGEST_DELAY_S
+from imucald.simulation.imu import gain_matrix, mounts
 
 Changes = Mapping[str, float]
 TRIADS = ("accel", "gyro")
-DELAYED = ("speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
-           "accel", "gyro")  # fmt: skip
-OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
-BUTTERWORTH_S_HZ = math.sqrt(2.0) / (2.0 * math.pi)
-"""Product of delay and cut-off frequency of a second-order Butterworth low-pass, for signals well
-below the cut-off."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +48,9 @@ def sensor_of(model: VehicleModel, name: str, changes: Changes) -> Sensor:
     """Return the errors of a triad: the values of the model file plus `changes`. Only changes of
     scale, cross-axis and g-sensitivity are used."""
     triad = getattr(model, name)
-    gain = np.eye(3)
-    scale = np.array(triad.scale) + _indexed(changes, f"{name}.scale", 3)
-    cross = np.array(triad.cross_axis) + _indexed(changes, f"{name}.cross_axis", 6)
-    gain[np.diag_indices(3)] += scale
-    for (i, j), x in zip(OFF_DIAGONAL, cross, strict=True):
-        gain[i, j] = x
+    scale = _sum(triad.scale, _indexed(changes, f"{name}.scale", 3))
+    cross = _sum(triad.cross_axis, _indexed(changes, f"{name}.cross_axis", 6))
+    gain = gain_matrix(msgspec.structs.replace(triad, scale=scale, cross_axis=cross))
     per_force = np.zeros(3)
     if name == "gyro":
         per_force = np.array(triad.g_sensitivity) + _indexed(changes, "gyro.g_sensitivity", 3)
@@ -74,22 +66,9 @@ def along_vehicle(changes: Changes, key: str) -> Array:
     return np.array([changes.get(f"{key}.{axis}", 0.0) for axis in "xyz"])
 
 
-def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
-    """Return pairs of a start time [s] and the R_vehicle_from_sensor that is valid from this time
-    on."""
-    m = model.mount
-    R = rotation_from_angles(*(math.radians(x) for x in (m.roll_deg, m.pitch_deg, m.yaw_deg)))
-    found = [(-math.inf, R)]
-    for s in m.shifts:
-        turn = (math.radians(x) for x in (s.roll_deg, s.pitch_deg, s.yaw_deg))
-        R = rotation_from_angles(*turn) @ R
-        found.append((s.t_s, R))
-    return found
-
-
 def mount_of(model: VehicleModel) -> Matrix3:
     """Return R_vehicle_from_sensor (3, 3) at the start of the drive."""
-    return mounts(model)[0][1]
+    return mounts(model.mount)[0][1]
 
 
 def age(model: VehicleModel, name: str) -> float:
@@ -182,23 +161,14 @@ def extended(model: VehicleModel, changes: Changes) -> VehicleModel:
         made["mount.lever_arm_m"] = _sum(model.mount.lever_arm_m, lever)
     made |= _delays(model, changes)
     for key, x in changes.items():
-        if key.startswith("_") or key in made or not _is_plain(model, key) or x == 0.0:
-            continue
-        stated = value(model, key)
-        if key != "wheel_speeds.scale":
-            made[key] = stated + x
+        section, _, name = key.partition(".")
+        is_number = hasattr(getattr(model, section, None), name) and not name.endswith("delay_s")
+        if x and is_number and key not in made and key != "wheel_speeds.scale":
+            made[key] = value(model, key) + x
     wheels = changes.get("wheel_speeds.scale", 0.0) + changes.get("speed.scale", 0.0)
     if wheels:
         made["wheel_speeds.scale"] = tuple(s + wheels for s in model.wheel_speeds.scale)
     return model.with_changes(made)
-
-
-def _is_plain(model: VehicleModel, key: str) -> bool:
-    """True if a key is a single number of the file, or the scale of the wheel speeds."""
-    if key.endswith("delay_s"):
-        return False
-    section, _, name = key.partition(".")
-    return hasattr(getattr(model, section, None), name)
 
 
 def _sum(stated: Sequence[float], change: Array) -> tuple[float, ...]:
@@ -253,7 +223,7 @@ def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
     moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
     if not moved:
         return {}
-    delays = {n: getattr(model, n).delay_s + changes.get(f"{n}.delay_s", 0.0) for n in DELAYED}
+    delays = {n: getattr(model, n).delay_s + changes.get(f"{n}.delay_s", 0.0) for n in SIGNALS}
     if "speed.delay_s" in changes:
         delays["wheel_speeds"] += changes["speed.delay_s"]
     lift = max(0.0, -min(delays.values()))

@@ -1,18 +1,18 @@
 """The catalogue of possible errors of a model file, as data.
 
-Each parameter has one row with its unit, its `tolerance` and the source of the tolerance, its
-`plausible` range for a real vehicle or sensor, and the signals that it needs. The `tolerance` is
-the half width of the error that a correct model file may have. Each cause has one row with its
-parameters and its texts. The fit reads the rows and has no special case for any cause.
+Each parameter has one row with its unit, the half width of the error that a correct model file may
+have (`tolerance`) with its source, its `plausible` range for a real vehicle or sensor, and the
+signals that it needs. Each cause has one row with its parameters and its texts. The fit has no
+special case for any cause.
 
 Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), because a
-drive shows the components along these axes separately. Vectors in sensor axes have an index
-instead. A key that begins with `_` has no place in the model file.
+drive shows these components separately. Vectors in sensor axes have an index instead. A key that
+begins with `_` has no place in the model file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from imucald.core.angles import RAD_PER_DEG as DEG
@@ -65,14 +65,18 @@ class Cause:
     be the true cause."""
 
 
-def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,
-          needs: tuple[str, ...], names: str = "xyz") -> Iterator[Parameter]:  # fmt: skip
+def _axes(
+    key: str, unit: str, tolerance: float, source: str, plausible: float, needs: tuple[str, ...],
+    names: str = "xyz",
+) -> Iterator[Parameter]:  # fmt: skip
     for name in names:
-        yield Parameter(f"{key}.{name}", unit, tolerance, source, (-plausible, plausible), needs)
+        yield _one(f"{key}.{name}", unit, tolerance, source, -plausible, plausible, *needs)
 
 
-def _one(key: str, unit: str, tolerance: float, source: str, low: float, high: float,
-         *needs: str, relative: bool = False) -> Parameter:  # fmt: skip
+def _one(
+    key: str, unit: str, tolerance: float, source: str, low: float, high: float, *needs: str,
+    relative: bool = False,
+) -> Parameter:  # fmt: skip
     return Parameter(key, unit, tolerance, source, (low, high), needs, relative)
 
 
@@ -206,8 +210,8 @@ def _keys(prefix: str, names: str = "xyz") -> tuple[str, ...]:
     return tuple(f"{prefix}.{name}" for name in names)
 
 
-def _each(prefix: str, names: Iterable[str]) -> tuple[tuple[str, ...], ...]:
-    return tuple((f"{prefix}.{name}",) for name in names)
+def _each(prefix: str, names: str) -> tuple[tuple[str, ...], ...]:
+    return tuple((key,) for key in _keys(prefix, names))
 
 
 ACCEL_BIAS, GYRO_BIAS = _keys("accel.bias"), _keys("gyro.bias")
@@ -243,10 +247,9 @@ CAUSES: tuple[Cause, ...] = (
     Cause("wheel_speed_scale", (("speed.scale",),),
           "The speed's gain is off (tyre radius).", "a measured kilometre, or GNSS speed",
           with_it=(("wheel_speeds.scale", -1.0),)),
-    Cause("signal_delay", (*_each("speed", ("delay_s",)), *_each("yaw_rate", ("delay_s",)),
-          *_each("steering", ("delay_s",)), *_each("lateral_accel", ("delay_s",)),
-          *_each("longitudinal_accel", ("delay_s",)), *_each("accel", ("delay_s",)),
-          *_each("gyro", ("delay_s",))),
+    Cause("signal_delay", tuple((f"{name}.delay_s",) for name in (
+              "speed", "yaw_rate", "steering", "lateral_accel", "longitudinal_accel", "accel",
+              "gyro")),
           "A signal's delay differs from the model file's.", "quick lane changes",
           together=("accel.delay_s", "gyro.delay_s")),
     Cause("sensor_lowpass", (), "A signal passes a low-pass that the model file does not have.",
@@ -273,11 +276,9 @@ CAUSES: tuple[Cause, ...] = (
     Cause("wheels_against_speed", (("wheel_speeds.scale",),),
           "Wheel speeds and vehicle speed differ by a factor.",
           "a measured kilometre, or GNSS speed"),
-    Cause("free_offset", (*_each("lateral_accel", ("offset",)),
-          *_each("longitudinal_accel", ("offset",))),
+    Cause("free_offset", (("lateral_accel.offset",), ("longitudinal_accel.offset",)),
           "A signal has an offset.", "stops facing both ways"),
-    Cause("free_gain", (*_each("lateral_accel", ("scale",)),
-          *_each("longitudinal_accel", ("scale",))),
+    Cause("free_gain", (("lateral_accel.scale",), ("longitudinal_accel.scale",)),
           "A signal has an unexplained gain error.", "hard curves and braking"),
 )  # fmt: skip
 

@@ -18,7 +18,7 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.core.text import counted
 from imucald.diagnosis import outcome
-from imucald.diagnosis.cause_keys import mount_of, usual_tolerance, with_low_passes
+from imucald.diagnosis.cause_keys import TRIADS, mount_of, usual_tolerance, with_low_passes
 from imucald.diagnosis.causes import GYRO_BIAS, family
 from imucald.diagnosis.direct.faults import find_faults, invalid_spans
 from imucald.diagnosis.direct.levels import with_levels
@@ -32,7 +32,7 @@ from imucald.diagnosis.fit.chance import reported
 from imucald.diagnosis.fit.intervals import estimate, quantile
 from imucald.diagnosis.fit.score import Hypothesis, Problem
 from imucald.diagnosis.gain import gain_of, summed
-from imucald.diagnosis.left_over.louder import LEAVES
+from imucald.diagnosis.left_over.louder import LEAST_BLOCKS, LEAVES
 from imucald.diagnosis.left_over.remains import Remains
 from imucald.diagnosis.left_over.table import AGAINST, ODD, RawValues, left_over
 from imucald.diagnosis.pictures import pictures_of
@@ -58,8 +58,6 @@ its present result. The steps after the search take up to 15 s more per hour of 
 LEAST_LIMIT_S = 30.0
 """Smallest default limit of the search's processor time [s]. A search in ten minutes of driving
 takes about 10 s. With a limit near this time, the result would depend on the machine's load."""
-LEAST_BLOCKS = 4
-LITTLE_MIN = 10.0
 NOT_AS_STATED = (
     Kind.LOUDER, Kind.COARSER, Kind.VALUES_MISSING, Kind.CHANGES_OTHERWISE, Kind.JUMPS_ALONE,
     Kind.FOLLOWS_OTHERWISE,
@@ -68,15 +66,10 @@ NOT_AS_STATED = (
 updated."""
 READ_FROM_VALUES = ("saturation", "stuck_signal", "duplicated_frames")
 """Faults that are found from the sequence of a signal's values."""
-ONE_SENSOR = ("accel", "gyro")
-"""Signals that come from one sensor, over one connection."""
 MOVES = (Kind.WANDERS, Kind.GOES_WITH_ANOTHER)
 """Kinds of structure in which a zero error changes during the drive."""
 BETWEEN = (Kind.FOLLOWS_OTHERWISE, Kind.VALUES_MISSING, Kind.CHANGES_MISSING, Kind.JUMPS_ALONE)
 """Kinds of structure in raw values that arise between sensor and log."""
-HALF = 0.5
-"""Smallest ratio of a written half width (`known_to`) to the tolerance. A drive has only one
-temperature, load and weather, so a smaller half width would be too optimistic."""
 
 
 def diagnose(
@@ -129,6 +122,8 @@ def diagnose(
     gain, signals = gain_of(before, problem, whole, state.free, state.forwards, clearest)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
+    likely = [outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely]
+    likely += _fault_causes(faults, model, "likely")
     sets = outcome.look_alikes(state)
     in_axes = partial(outcome.with_sensor_axes, stated=model, written=written)
     report(0.95, "pictures")
@@ -143,15 +138,7 @@ def diagnose(
         },
         gain=gain,
         duration_s=driven_s,
-        likely=tuple(
-            in_axes(cause)
-            for cause in _merged(
-                [
-                    *(outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely),
-                    *_fault_causes(faults, model, "likely"),
-                ]
-            )
-        ),
+        likely=tuple(map(in_axes, _merged(likely))),
         candidates=outcome.other_candidates(state),
         structure=left,
         notes=tuple(_notes(parts, problem.table, late, state.unstated)),
@@ -174,13 +161,7 @@ def rms_beside(drives: Sequence[Samples], model: VehicleModel) -> dict[str, floa
 
 def _begun(
     drives: Sequence[Samples], model: VehicleModel, report: Progress
-) -> tuple[
-    list[list[Fault]],
-    list[Structure],
-    list[DriveSignals],
-    Rest | None,
-    State,
-]:
+) -> tuple[list[list[Fault]], list[Structure], list[DriveSignals], Rest | None, State]:
     """Do all steps before the search.
 
     Returns the faults of each drive, other structure in raw values, the signals of each drive, the
@@ -194,13 +175,13 @@ def _begun(
     lost = [all_lost(samples) for samples in drives]
     faults = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     parts = _signals(drives, faults, lost)
-    held = _signals(drives, faults, lost, held=True)
     gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
-    odd = [*gone.values(), *reported(ODD, RawValues(held, model), partial(report, 0.05))]
+    odd = [*gone.values(), *reported(ODD, RawValues(parts, model), partial(report, 0.05))]
     stand = [[f for f in part if not _is_owed(f, odd)] for part in faults]
     if stand != faults:
         faults, parts = stand, _signals(drives, stand, lost)
-    model_now = _with_faults(model, faults)
+    changes = {k: x for part in faults for fault in part for k, x in fault.changes.items()}
+    model_now = model.with_changes(changes) if changes else model
     report(0.08, "stops")
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
@@ -211,15 +192,11 @@ def _begun(
 
 
 def _signals(
-    drives: Sequence[Samples],
-    faults: Sequence[Sequence[Fault]],
-    lost: Sequence[dict[str, Lost]],
-    held: bool = False,
+    drives: Sequence[Samples], faults: Sequence[Sequence[Fault]], lost: Sequence[dict[str, Lost]]
 ) -> list[DriveSignals]:
     """Return the signals of each drive, without the samples that faults and lost readings make
-    invalid. held: at the end of a range, remove only the samples with the end value, because the
-    sequence of the neighbouring samples is tested."""
-    bad = [invalid_spans(*each, held) for each in zip(faults, drives, lost, strict=True)]
+    invalid."""
+    bad = [invalid_spans(*each) for each in zip(faults, drives, lost, strict=True)]
     return [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
 
 
@@ -229,7 +206,7 @@ def _is_owed(fault: Fault, odd: Sequence[Structure]) -> bool:
     is not certain if something between sensor and log has changed the sequence."""
     if fault.cause not in READ_FROM_VALUES:
         return False
-    beside = ONE_SENSOR if fault.signal in ONE_SENSOR else (fault.signal,)
+    beside = TRIADS if fault.signal in TRIADS else (fault.signal,)
     return any(s.kind in BETWEEN and s.signal.startswith(beside) for s in odd)
 
 
@@ -262,28 +239,15 @@ class _Late:
         return self.was
 
 
-def _with_faults(model: VehicleModel, faults: Sequence[Sequence[Fault]]) -> VehicleModel:
-    """Return the model file with the faults written into it."""
-    changes: dict[str, object] = {}
-    for part in faults:
-        for fault in part:
-            changes |= fault.changes
-    return model.with_changes(changes) if changes else model
-
-
 def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | None) -> State:
     """Return the initial state of the search. The gyroscope's zero error at stops limits every
     fit."""
-    state = State(parts, model, model, {})
-    if rest is None:
-        return state
-    if not _is_off(rest, model):
-        state.bounds = rest.bounds(model)
-        return state
-    half = rest.quantile * rest.se
-    state.at_rest = {k: float(x) for k, x in zip(GYRO_BIAS, rest.rate, strict=True)}
-    state.bounds = {k: (-float(h), float(h)) for k, h in zip(GYRO_BIAS, half, strict=True)}
-    state.apply({})
+    state = State(parts, model, model, rest.bounds(model) if rest is not None else {})
+    if rest is not None and _is_off(rest, model):
+        half = rest.quantile * rest.se
+        state.at_rest = {k: float(x) for k, x in zip(GYRO_BIAS, rest.rate, strict=True)}
+        state.bounds = {k: (-float(h), float(h)) for k, h in zip(GYRO_BIAS, half, strict=True)}
+        state.apply({})
     return state
 
 
@@ -296,13 +260,6 @@ def _shows_zero(left: Sequence[Structure]) -> bool:
     sensor may show this mean for all small rates, or if the zero error changes during the drive."""
     gyro = [s for s in left if s.signal.startswith("gyro") or s.parameter.startswith("gyro.bias")]
     return not any(s.kind in (Kind.VALUE_HELD, *MOVES) for s in gyro)
-
-
-def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
-    """Return the zero error at stops without the effect of a found g-sensitivity at one g."""
-    R = mount_of(model)
-    net = R @ (np.array(state.model.gyro.bias) - np.array(state.stated.gyro.bias))
-    return replace(rest, rate=net)
 
 
 def _refuse_short(table: Table, faults: Sequence[Sequence[Fault]]) -> None:
@@ -325,8 +282,12 @@ def _certain_causes(
     the fit."""
     estimates = final_estimates(state)
     causes = [outcome.cause_of_trial(state, t, estimates) for t in state.named]
-    if rest is not None and state.at_rest and _is_off(at := _zero_of(rest, state, model), model):
-        causes.append(outcome.cause_of_rest(at, model))
+    if rest is not None and state.at_rest:
+        # The zero error at stops without the effect of a found g-sensitivity at one g.
+        net = mount_of(model) @ (np.array(state.model.gyro.bias) - np.array(state.stated.gyro.bias))
+        rest = replace(rest, rate=net)
+        if _is_off(rest, model):
+            causes.append(outcome.cause_of_rest(rest, model))
     if state.shift is not None and state.table is not None:
         causes.append(outcome.cause_of_shift(state.shift, state.table))
     return _merged([*causes, *_fault_causes(faults, model, "certain")])
@@ -364,7 +325,8 @@ def _written(state: State, problem: Problem) -> VehicleModel:
     for key in (*state.free, *state.unstated):
         if key in table.keys:
             e = estimate(problem, Hypothesis("", (key,)), 1)
-            known[key] = max(float(q * e.se[0]), HALF * usual_tolerance(state.stated, key))
+            # One drive has one temperature, load and weather: half the tolerance at least.
+            known[key] = max(float(q * e.se[0]), 0.5 * usual_tolerance(state.stated, key))
     written = with_low_passes(state.model, state.stated, low_passes(state))
     return written.with_changes({"known_to": {**written.known_to, **known}}) if known else written
 
@@ -390,7 +352,7 @@ def _notes(
         notes.append("Speed and gyroscope show no common stop. The zero of the gyroscope comes "
                      "from driving alone, which is ten times less exact.")  # fmt: skip
     minutes = float(table.moving.sum()) * (table.seconds / 60.0)
-    if minutes < LITTLE_MIN:
+    if minutes < 10.0:
         notes.append(
             f"There are only {minutes:.1f} min of driving, which do not show small errors."
         )

@@ -3,14 +3,12 @@ out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-import numpy as np
+from collections.abc import Sequence
 
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.direct.stuck import Fault
-from imucald.diagnosis.fit.blocks import EQUATIONS, SENSED, TILTED, Table
-from imucald.diagnosis.outcome import SEEN_SHARE, signals_of
+from imucald.diagnosis.fit.blocks import EQUATIONS, SENSED, TILTED
+from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.search.search import leave_out, unsettle
 from imucald.diagnosis.search.state import State
@@ -26,8 +24,7 @@ segment."""
 
 
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
-    """Withdraw each named cause that left-over structure, a fault or a low-pass filter may
-    explain."""
+    """Withdraw each named cause that left-over structure or a fault may explain."""
     every = [fault for part in faults for fault in part]
     changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
@@ -36,7 +33,6 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     impossible = [s for s in left if s.kind == Kind.NOT_PLAUSIBLE]
     shifted |= {name for s in impossible for name in EQUATIONS[s.signal].takes}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
-    delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
     missing = max((t.shown for t in state.implausible), default=0.0)
 
     def rests_on(trial: Trial, structures: Sequence[Structure]) -> bool:
@@ -65,7 +61,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         # If the largest values are lost, the remaining ones are a biased sample, and a slope fitted
         # to them is wrong (truncated regression; Hausman and Wise 1977).
         sensors = {s for name in signals_of(state.table, keys) for s in EQUATIONS[name].takes}
-        return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
+        return bool(sensors & shifted)
 
     if state.shift is not None and any(s.kind in NO_STEP for s in left):
         state.withdraw_shift()
@@ -101,26 +97,3 @@ def unexplained(left: Sequence[Structure]) -> set[str]:
     }
     # The forward and sideways force equations share the estimate of gravity.
     return made | (set(TILTED) if made & set(TILTED) else set())
-
-
-def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
-    """True if one low-pass filter may cause both a found gain error and a found delay.
-
-    delays: found delays by key [s]. A filter with the delay x reduces an amplitude at the angular
-    frequency w to 1/sqrt(1 + (w x)^2), that is by about (w x)^2/2. A gain error up to this size is
-    therefore doubtful. w is estimated from the data: a delay's effect on a signal is w times as
-    large as a gain's effect, so w^2 is the ratio of the energies of the two columns. Only the
-    equations that show the gain are used."""
-    h = trial.hypothesis
-    if table is None or not delays or not all(".scale" in key for key in h.keys):
-        return False
-    gains = [table.energy(along) for along in h.along]
-    own = {n: max(float(e[n].sum()) for e in gains) for n in table.by_equation}
-    missing = 0.0
-    for key, x in delays.items():
-        late = table.energy({key: x}) if key in table.keys else {}
-        for name, energy in late.items():
-            if own[name] > SEEN_SHARE * sum(own.values()):
-                missing = max(missing, 0.5 * float(energy.sum()) / own[name])
-    v = np.abs(trial.estimate.value)
-    return bool(np.all(v <= trial.tolerance + missing))

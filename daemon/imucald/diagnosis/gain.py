@@ -1,7 +1,7 @@
-"""Improvement of the prediction by the written model file alone, without a further fit. `rms_after`
-is the residual of these drives with the written model file. A new comparison with this file gives
-the same residual. The improvement is measured on data outside the fit (cross-validation): the found
-parameters are fitted without one fold, and this fold is predicted with these parameters alone.
+"""Improvement of the prediction by the written model file alone, without a further fit.
+
+`rms_after` is the residual of these drives with the written model file. The improvement is measured
+on data outside the fit: the found parameters are fitted without one fold, and predict this fold.
 """
 
 from __future__ import annotations
@@ -13,12 +13,10 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.equations.forward import UNITS, Forward
 from imucald.diagnosis.fit.blocks import TILTED, Table
-from imucald.diagnosis.fit.score import Problem, fitted_by_fold, losses
+from imucald.diagnosis.fit.score import Problem, fitted_by_fold, losses, sum_and_se
 from imucald.diagnosis.result import Gain, SignalGain
 
 Z95 = 1.959964
-WORSE_SE = 2.0
-LEFT_SE = 3.0
 
 
 def gain_of(
@@ -62,9 +60,8 @@ def gain_of(
 def summed(gain: Array, worse: Sequence[str] = ()) -> Gain:
     """Return the sum of the nats of all blocks (B,), with the confidence interval from the scatter
     of the blocks."""
-    total = float(gain.sum())
-    spread = Z95 * float(np.sqrt(len(gain)) * np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
-    return Gain(total, (total - spread, total + spread), tuple(worse))
+    total, se = sum_and_se(gain)
+    return Gain(total, (total - Z95 * se, total + Z95 * se), tuple(worse))
 
 
 def _weighted_losses(before: Table, after: Table) -> Array:
@@ -86,9 +83,8 @@ def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
     old = before.plain[name][:, :, 0, 0].sum(axis=1)
     if len(new) != len(old):
         return False
-    d = new - old
-    se = float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
-    return bool(d.sum() > WORSE_SE * se and d.sum() > 0.02 * old.sum())
+    excess, se = sum_and_se(new - old)
+    return bool(excess > 2.0 * se and excess > 0.02 * old.sum())
 
 
 def _floor(table: Table, name: str) -> float:
@@ -117,10 +113,11 @@ def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
         scatter = float(np.std(np.diff(means)) / np.sqrt(2.0))
         slope = float(t @ means / (t @ t))
         parts = []
-        # Slow changes of the road last over several blocks, so four blocks count as one.
-        if abs(means.mean()) > LEFT_SE * scatter * 2.0 / np.sqrt(len(means)):
+        # Slow changes of the road last over several blocks, so four blocks count as one. The limit
+        # is three standard deviations.
+        if abs(means.mean()) > 6.0 * scatter / np.sqrt(len(means)):
             parts.append(f"offset {means.mean():+.2g} {UNITS[name]}")
-        if abs(slope) * np.sqrt(t @ t) > LEFT_SE * 2.0 * scatter:
+        if abs(slope) * np.sqrt(t @ t) > 6.0 * scatter:
             parts.append(f"drift {slope * len(means):+.2g} {UNITS[name]} over the drive")
         texts[name] = ", ".join(parts)
     return texts

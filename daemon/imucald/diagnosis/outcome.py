@@ -11,7 +11,6 @@ import numpy as np
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.text import counted
 from imucald.diagnosis.cause_keys import (
-    BUTTERWORTH_S_HZ,
     TRIADS,
     low_pass,
     mount_of,
@@ -39,13 +38,12 @@ from imucald.diagnosis.search.shift import KEYS, FittedShift
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import LEVELLED, SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
+from imucald.model.sensors import BUTTERWORTH_S_HZ
 from imucald.mount.mount_words import SD_95
 
 MISSING = (Kind.NOT_PLAUSIBLE, *UNBELIEVED)
 """Kinds of structure that contradict the model: a cause is missing, with or without direct
 evidence."""
-FEW_BLOCKS = 20
-"""Number of segments below which the number is an argument against a cause."""
 SEEN_SHARE = 0.02
 """Smallest share of a cause's information in a signal that shows the cause."""
 
@@ -113,7 +111,11 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
         keys = [f"{stem}.{axis}" for axis in "xyz"]
         # A parameter that was not fitted gets the deviation of a uniform distribution over its
         # tolerance.
-        own = [cause.parameters.get(k) or _as_stated(stated, k) for k in keys]
+        tolerances = [tolerance(stated, key) for key in keys]
+        own = [
+            cause.parameters.get(k) or _estimated(stated, k, 0.0, tau / math.sqrt(3.0), tau)
+            for k, tau in zip(keys, tolerances, strict=True)
+        ]
         before, after = (np.array(getattr(getattr(m, section), name)) for m in (stated, written))
         fitted = R.T @ [p.value for p in own]
         std, tau = (np.sqrt((R.T**2) @ [x**2 for x in each])
@@ -124,11 +126,6 @@ def with_sensor_axes(cause: FoundCause, stated: VehicleModel, written: VehicleMo
                 float(value_now[i]), float(std[i]), own[i].unit, float(before[i]), float(tau[i])
             )
     return replace(cause, along_sensor=made)
-
-
-def _as_stated(model: VehicleModel, key: str) -> Estimated:
-    tau = tolerance(model, key)
-    return _estimated(model, key, 0.0, tau / math.sqrt(3.0), tau)
 
 
 def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
@@ -162,33 +159,28 @@ def _against(state: State, trial: Trial) -> list[str]:
                 f"{key} moves by {_with_unit(f'{wander:.2g}', key)} between quarters of the data"
             )
     is_plain = trial.hypothesis.pattern is None
-    if is_plain and state.table is not None and state.table.blocks < FEW_BLOCKS:
+    if is_plain and state.table is not None and state.table.blocks < 20:
         texts.append(f"the drives have only {counted(state.table.blocks, 'segment')}")
     return texts
-
-
-_SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
 
 
 def cause_of_fault(fault: Fault, model: VehicleModel) -> FoundCause:
     """Return the cause for a fault in samples or time stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
-        stated = math.nan if key.startswith("_") else _stated(model, key)
-        parameters[key] = Estimated(x, std, unit, stated if math.isfinite(stated) else 0.0)
+        section, _, name = key.partition(".")
+        stated = getattr(getattr(model, section, None), name, None)
+        known = float(stated) if isinstance(stated, int | float) else 0.0
+        parameters[key] = Estimated(x, std, unit, known)
     # If several signals have the fault, they share one text.
-    name = _SENSORS.get(fault.signal, fault.signal.replace("_", " ").capitalize())
+    name = {"accel": "Accelerometer", "gyro": "Gyroscope"}.get(
+        fault.signal, fault.signal.replace("_", " ").capitalize()
+    )
     text = f"{name}: {fault.text[:1].lower()}{fault.text[1:]}"
     return FoundCause(
         fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, text,
         "likely" if fault.against else "certain", fault.against,
     )  # fmt: skip
-
-
-def _stated(model: VehicleModel, key: str) -> float:
-    section, _, name = key.partition(".")
-    x = getattr(getattr(model, section), name, None)
-    return float(x) if isinstance(x, int | float) else math.nan
 
 
 def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
@@ -219,16 +211,16 @@ def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     }
     # The text has the interval, which does not lie evenly about this time.
     parameters["mount.shifts.t_s"] = Estimated(shift.start_s, math.nan, "s")
-    name = "mount_shift" if shift.kind == "step" else "mount_creep"
+    is_step = shift.kind == "step"
     text = (
         f"The sensor was turned between {shift.low_s:.0f} and {shift.high_s:.0f} s."
-        if shift.kind == "step"
+        if is_step
         else "The sensor turns slowly during the whole drive."
     )
     text += " The angles are turns about the vehicle's axes."
     sigma = float(np.max(np.abs(shift.turn) / shift.se))
     return FoundCause(
-        name, parameters, signals_of(table, KEYS),
+        "mount_shift" if is_step else "mount_creep", parameters, signals_of(table, KEYS),
         {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile,
          "beyond_tolerance": shift.beyond_tolerance, "threshold": shift.threshold}, text,
         "certain", ("the parts before and after the turn would be two drives, so nothing else was "

@@ -13,15 +13,12 @@ from msgspec.structs import replace
 from imucald.can.logs.log_reader import LogReader, Progress
 from imucald.config import LoadedConfig
 from imucald.core.errors import LogError
-from imucald.core.samples import QUANTITIES, Samples, Series
+from imucald.core.samples import QUANTITIES, TRIADS, Samples, Series
 from imucald.inputs.quantities import wanted_numbers
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.timebase import TimeBase
-
-TRIADS = ("accelerometer", "gyroscope", "magnetometer")
-"""Keys of the configuration that may name several sensors, each with axes of its own."""
 
 SAME_CHANGES = 64
 """Number of successive new values of sensor noise that never occur twice. `can.logs.first_frames`
@@ -117,7 +114,9 @@ def _first_sensors(loaded: LoadedConfig) -> Router:
     """Return the router of the configuration without fallback sensors and parallel sensors."""
     router = compile_router(loaded)  # reports all mistakes of the configuration
     signals = loaded.config.signals
-    first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
+    # Each of several sensors has axes of its own.
+    keys = [QUANTITIES[channel].key for channel in TRIADS]
+    first = {key: triads[:1] for key in keys if len(triads := getattr(signals, key) or ()) > 1}
     if not first and not signals.parallel:
         return router
     signals = replace(signals, **first, parallel=())

@@ -25,8 +25,6 @@ Spans = tuple[tuple[float, float], ...]
 
 STEP_S = TICK_S
 """Step of the grid [s]. The motion of a vehicle is below 2 Hz."""
-GAP_PERIODS = 3.5
-SHORTEST_GAP_S = 0.35
 DUPLICATE_SHARE = 0.3
 """Share of the period within which a repeated value means that the frame was sent twice."""
 BESIDE = 10
@@ -45,8 +43,12 @@ TRIM_S = 1.5
 """Time that is removed at both ends of a stop [s]. The speed signal is late, and it is zero before
 the vehicle stands (dead band)."""
 SHORTEST_STOP_S = 2.0
-LEAST_S = 45.0
 NEEDED = ("accel", "speed")
+SIGNALS = (
+    "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
+    "longitudinal_accel",
+)  # fmt: skip
+"""Signals that the diagnosis compares and tests."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ class Channel:
 
     def present(self, t: Array) -> Mask:
         """Return, for each time, whether the signal was present and outside bad intervals."""
-        gap = max(GAP_PERIODS * self.period_s, SHORTEST_GAP_S)
+        gap = max(3.5 * self.period_s, 0.35)
         after = np.searchsorted(self.t, t)
         left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
         right = self.t[np.clip(after, 0, len(self.t) - 1)]
@@ -223,10 +225,8 @@ def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveS
     }
     start = max(channels[name].t[0] for name in NEEDED)
     stop = min(channels[name].t[-1] for name in NEEDED)
-    if stop - start < LEAST_S:
-        raise EstimateError(
-            f"the diagnosis needs at least {LEAST_S:.0f} s with both accelerometer and speed"
-        )
+    if stop - start < 45.0:
+        raise EstimateError("the diagnosis needs at least 45 s with both accelerometer and speed")
     t = np.asarray(start + STEP_S * np.arange(int((stop - start) / STEP_S)))
     knots = _knots(channels, t)
     planar = bool(np.ptp(channels["accel"].values[:, 2]) == 0.0)

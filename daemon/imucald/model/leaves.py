@@ -32,7 +32,7 @@ class Leaves(Section, frozen=True):
 
     `changes of AXIS at RATE Hz`: the lags `LAGS` replace the bands, and the ratio to the other axes
     replaces the rms. `samples of NUMBER at RATE Hz`: exponentials of six numbers without a unit
-    (see `diagnosis.direct.next_samples`). `levels of SIGNAL`: `segments` is the number of gaps
+    (see `diagnosis.direct.successive`). `levels of SIGNAL`: `segments` is the number of gaps
     between levels in a drive of `segment_s`. `rms` has the quantiles of the gaps (`GAP_QUANTILES`),
     each known within `spread`. `speeds_mps` has the smallest value above 0 and the largest value,
     in the unit of the signal.

@@ -17,8 +17,7 @@ from imucald.core.errors import ConfigError
 from imucald.core.typed import Document, typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.leaves import Leaves
-from imucald.model.plain import plain
-from imucald.model.section import NonNegative, Section
+from imucald.model.section import NonNegative, Section, plain
 from imucald.model.sensors import (
     Accelerometer,
     BusLoad,

@@ -1,8 +1,10 @@
-"""Sections of the model file. Sections are immutable, and unknown keys are errors."""
+"""Sections of the model file, and their values as plain data. Sections are immutable, and unknown
+keys are errors."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
@@ -16,3 +18,13 @@ ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True):
     """Base class of all sections. A misspelt key is an error."""
+
+
+def plain(data: Any) -> Any:
+    """Return data with mappings converted to dict, tuples and arrays to list, and numpy numbers to
+    Python numbers."""
+    if isinstance(data, Mapping):
+        return {key: plain(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [plain(value) for value in data]
+    return data.tolist() if hasattr(data, "tolist") else data

@@ -6,6 +6,7 @@ off whole groups and keep the values.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from msgspec import Meta
@@ -22,6 +23,11 @@ from imucald.model.section import (
 RateHz = Annotated[float, Meta(ge=0.2, le=1000.0)]
 LONGEST_DELAY_S = 2.0
 """Largest delay that a model file may contain [s]."""
+REFERENCE_DEGC = 25.0
+"""Temperature at which zero errors are stated [degC]."""
+BUTTERWORTH_S_HZ = math.sqrt(2.0) / (2.0 * math.pi)
+"""Product of delay and cut-off frequency of a second-order Butterworth low-pass, for signals well
+below the cut-off."""
 DelayS = Annotated[float, Meta(ge=0.0, le=LONGEST_DELAY_S)]
 
 

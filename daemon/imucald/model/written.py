@@ -16,8 +16,7 @@ from imucald.core.errors import ConfigError
 from imucald.core.typed import Document, Marks, typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.model import WHOLE, VehicleModel
-from imucald.model.plain import plain
-from imucald.model.section import Section
+from imucald.model.section import Section, plain
 
 
 class WrittenModel:

@@ -14,14 +14,17 @@ from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import TEMPERATURE, Samples, Series
 from imucald.drive.roads import SLOPE
 from imucald.model.section import ZERO
+from imucald.model_compensation.filters import SuspensionFilter
 from imucald.model_compensation.lever_arm_and_suspension import VehicleCorrection
 from imucald.model_compensation.preprocessing import PreprocessingChain
 from imucald.model_compensation.reading import read_terms
 from imucald.model_compensation.sensors import SensorCorrection
-from imucald.model_compensation.suspension import SuspensionFilter
 from imucald.model_compensation.terms import Terms, TriadTerms, saved_text
-from imucald.model_compensation.tick_preprocessing import TickPreprocessing
-from imucald.model_compensation.time_alignment import TimeAlignment, alignment_shifts
+from imucald.model_compensation.tick_preprocessing import (
+    TickPreprocessing,
+    TimeAlignment,
+    alignment_shifts,
+)
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 

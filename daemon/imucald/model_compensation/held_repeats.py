@@ -8,13 +8,27 @@ the same result.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from imucald.core.arrays import Array, Flags
 from imucald.model.section import Vector3
-from imucald.model_compensation.sample_chain import Stage, through
+
+Stage = Callable[[float, Sequence[float]], Sequence[float] | None]
+"""Function that takes the time [s] and the raw values of a sample. It returns the new values; None
+if the sample is refused."""
+
+
+def through(stages: Iterable[Stage], t: float, values: Sequence[float]) -> Sequence[float] | None:
+    """Pass a sample through all stages and return the result; None if a stage refuses the
+    sample."""
+    for stage in stages:
+        found = stage(t, values)
+        if found is None:
+            return None
+        values = found
+    return values
 
 
 class HeldRepeats:
@@ -71,18 +85,14 @@ class HeldRepeats:
         return values, refused
 
 
-class HeldStages:
-    """Runs the processing stages of a three-axis sensor. A repeated sample gets the same result as
-    the sample before it."""
+def held(repeats: HeldRepeats, stages: Sequence[Stage]) -> Stage:
+    """Return the stages of a three-axis sensor as one stage, which gives a repeated sample the same
+    result as the sample before it."""
 
-    def __init__(self, repeats: HeldRepeats, stages: Sequence[Stage]) -> None:
-        self._repeats, self._stages = repeats, tuple(stages)
-
-    def __call__(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        """Process one raw sample at t [s]. None if the sample is refused, or repeats a refused
-        sample."""
-        repeats = self._repeats
+    def stage(t: float, v: Sequence[float]) -> Sequence[float] | None:
         if repeats.known(v):
             return repeats.result
-        found = through(self._stages, t, v)
+        found = through(stages, t, v)
         return repeats.keep(v, None if found is None else (found[0], found[1], found[2]))
+
+    return stage

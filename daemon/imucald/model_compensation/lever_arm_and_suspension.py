@@ -1,9 +1,9 @@
 """Remove the terms that need the mount from corrected samples. The result is samples in road axes.
 
 Lever arm: the force at the body's centre of rotation is the force at the sensor minus dw/dt x l + w
-x (w x l). Only the vertical component of dw/dt is used (see `yaw_acceleration`). Suspension: the
+x (w x l). Only the vertical component of dw/dt is used (see `filters`). Suspension: the
 corrected samples are rotated from body axes to road axes, and the body's angular rate relative to
-the road is subtracted from the rates (see `suspension`).
+the road is subtracted from the rates (see `filters`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
 from imucald.model.section import Vector3
-from imucald.model_compensation.suspension import (
+from imucald.model_compensation.filters import (
     GAP_S,
     UPRIGHT,
     SuspensionAttitude,
     SuspensionFilter,
+    YawAcceleration,
 )
 from imucald.model_compensation.terms import Terms
-from imucald.model_compensation.yaw_acceleration import YawAcceleration
 
 Number = TypeVar("Number", float, Array)
 

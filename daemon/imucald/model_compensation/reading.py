@@ -13,9 +13,9 @@ from typing import Any
 
 from imucald.core.samples import FLAGS, VEHICLE_SIGNALS
 from imucald.model.section import ZERO, Vector3
+from imucald.model.sensors import BUTTERWORTH_S_HZ
 from imucald.model.written import WrittenModel, read_written
 from imucald.model_compensation.terms import (
-    BUTTERWORTH_DELAY,
     NO_RAIL,
     ChassisTerms,
     ScalarTerms,
@@ -209,7 +209,7 @@ class _Reader:
             age: float = self._value(name, "delay_s", 0.0)
             age += self._value(name, "time_constant_s", 0.0)
             corner = self._value(name, "lowpass_hz")
-            found[name] = age + (0.0 if corner is None else BUTTERWORTH_DELAY / corner)
+            found[name] = age + (0.0 if corner is None else BUTTERWORTH_S_HZ / corner)
         return found
 
     def _rms(self, name: str) -> float:

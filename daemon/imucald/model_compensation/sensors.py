@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from imucald.core.arrays import Array, Flags
 from imucald.core.samples import (
-    QUANTITIES,
     TEMPERATURE,
     TRIADS,
     VEHICLE_SIGNALS,
@@ -25,12 +24,10 @@ from imucald.core.samples import (
     speeds_of_wheels,
 )
 from imucald.model.section import Vector3
-from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
-from imucald.model_compensation.sample_chain import Stage, through
-from imucald.model_compensation.scalars import ScalarCompensator, WheelsCompensator
-from imucald.model_compensation.smoothing import Smoothed
+from imucald.model_compensation.compensator import Compensator
+from imucald.model_compensation.filters import Smoothed
+from imucald.model_compensation.held_repeats import HeldRepeats, Stage, held, through
 from imucald.model_compensation.terms import ScalarTerms, Terms, TriadTerms
-from imucald.model_compensation.triads import TriadCompensator
 
 Order = NDArray[np.int64] | NDArray[np.float64]
 
@@ -70,22 +67,25 @@ class SensorCorrection:
         triads = {"accel": terms.accel, "gyro": terms.gyro, "mag": terms.mag}
         self._sensitive = any(terms.g_sensitivity)
         self._felt = Smoothed(FELT_HZ)
-        self._triads = {
-            channel: TriadCompensator(t, QUANTITIES[channel].largest)
+        self._sensors = {
+            channel: Compensator.of_triad(channel, t)
             for channel, t in triads.items()
             if t != TriadTerms() or (channel == "gyro" and self._sensitive)
         }
-        self._temperature_dependent = [t for t in self._triads.values() if t.follows_temperature]
-        self._scalars = {
-            channel: ScalarCompensator(s, QUANTITIES[channel].largest)
+        self._sensors |= {
+            channel: Compensator.of_scalar(channel, s)
             for channel, s in terms.scalars.items()
             if s != ScalarTerms() and not (channel == "speed" and derived_speed)
         }
-        self._wheels = WheelsCompensator(terms.wheel_scales) if any(terms.wheel_scales) else None
+        if any(terms.wheel_scales):
+            self._sensors["wheel_speeds"] = Compensator.of_wheels(terms.wheel_scales)
+        self._temperature_dependent = [s for s in self._sensors.values() if s.follows_temperature]
         # terms that change from sample to sample
-        self._repeats = {c: HeldRepeats() for c, t in self._triads.items() if t.follows_temperature}
-        if self._sensitive:
-            self._repeats["gyro"] = HeldRepeats()
+        self._repeats = {
+            channel: HeldRepeats()
+            for channel, sensor in self._sensors.items()
+            if sensor.follows_temperature or (channel == "gyro" and self._sensitive)
+        }
         stages = {channel: self._stages(channel) for channel in CHANNELS}
         self._chains = {channel: chain for channel, chain in stages.items() if chain}
 
@@ -93,20 +93,16 @@ class SensorCorrection:
         """Return the processing stages for each sample of a channel, in order; empty if there are
         none."""
         stages: list[Stage] = []
-        if channel in self._triads:
-            stages.append(self._triads[channel].sample)
-        if channel in self._scalars:
-            stages.append(self._scalars[channel].sample)
+        if channel in self._sensors:
+            stages.append(self._sensors[channel].sample)
         if channel == "gyro" and self._sensitive:
             stages.append(self._less_felt)
         if channel in self._repeats:
-            stages = [HeldStages(self._repeats[channel], stages)]
+            stages = [held(self._repeats[channel], stages)]
         if channel == "accel" and self._sensitive:
             stages.append(self._feel)
         if channel == TEMPERATURE.channel and self._temperature_dependent:
             stages.append(self._temperature)
-        if channel == "wheel_speeds" and self._wheels is not None:
-            stages.append(self._wheels.sample)
         return stages
 
     def gap(self) -> None:
@@ -131,7 +127,7 @@ class SensorCorrection:
         out: list[Sample] = []
         refused: list[str] = []
         wheels: Sequence[float] | None = None
-        for channel, values in sorted(samples, key=_rank):
+        for channel, values in sorted(samples, key=lambda s: _FIRST.get(s[0], 9)):
             found = through(self._chains.get(channel, ()), t, values)
             if channel == "wheel_speeds":
                 wheels = found
@@ -146,8 +142,8 @@ class SensorCorrection:
     def _temperature(self, t: float, v: Sequence[float]) -> Sequence[float]:
         degc = v[0]
         if MIN_DEGC <= degc <= MAX_DEGC:
-            for triad in self._temperature_dependent:
-                triad.set_temperature(degc)
+            for sensor in self._temperature_dependent:
+                sensor.set_temperature(degc)
         return v
 
     def _feel(self, t: float, v: Sequence[float]) -> Sequence[float]:
@@ -170,27 +166,21 @@ class SensorCorrection:
         order: by channel, the order of arrival of each sample, ascending. Samples with equal
         numbers came in one frame.
         """
-        temperatures = self._temperatures(samples, order)
+        known, degc = self._temperatures(samples, order)
         out: dict[str, Taken] = {}
-        for channel, triad in self._triads.items():
+        for channel, sensor in self._sensors.items():
             if channel in samples:
-                before = _before(order[channel], temperatures[0])
-                values, refused = triad.columns(samples[channel].values, (before, temperatures[1]))
-                out[channel] = Taken(values, refused)
+                before = _before(order[channel], known)
+                out[channel] = Taken(*sensor.columns(samples[channel].values, before, degc))
         self._repeat("accel", samples, out)
         if self._sensitive:
             self._take_felt(samples, order, out)
         self._repeat("gyro", samples, out)
-        for triad in self._temperature_dependent if len(temperatures[1]) else ():
-            triad.set_temperature(float(temperatures[1][-1]))
-        for channel, scalar in self._scalars.items():
-            if channel in samples:
-                out[channel] = Taken(*scalar.columns(samples[channel].values))
-        if "wheel_speeds" in samples and self._wheels is not None:
-            wheels = self._wheels.columns(samples["wheel_speeds"].values)
-            out["wheel_speeds"] = Taken(*wheels)
-            if self._derived and "speed" in samples:
-                out["speed"] = Taken(speeds_of_wheels(wheels[0]), wheels[1])
+        for sensor in self._temperature_dependent if len(degc) else ():
+            sensor.set_temperature(float(degc[-1]))
+        if self._derived and "speed" in samples and "wheel_speeds" in out:
+            wheels = out["wheel_speeds"]
+            out["speed"] = Taken(speeds_of_wheels(wheels.values), wheels.refused)
         return out
 
     def _repeat(self, channel: str, samples: Mapping[str, Series], out: dict[str, Taken]) -> None:
@@ -228,10 +218,6 @@ class SensorCorrection:
             gyro = out["gyro"]
             taken_off = np.array(self._terms.g_sensitivity) * force
             out["gyro"] = Taken(gyro.values - taken_off, gyro.refused)
-
-
-def _rank(sample: Sample) -> int:
-    return _FIRST.get(sample[0], 9)
 
 
 def _before(order: Order, others: Order) -> NDArray[np.int64]:

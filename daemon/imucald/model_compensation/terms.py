@@ -19,12 +19,7 @@ Matrix9 = tuple[float, float, float, float, float, float, float, float, float]
 
 IDENTITY: Matrix9 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NO_RAIL = (math.inf, math.inf)
-REFERENCE_DEGC = 25.0
-"""Temperature at which `bias` is stated."""
 _SPRINGS = Suspension()
-BUTTERWORTH_DELAY = math.sqrt(2.0) / (2.0 * math.pi)
-"""Product of delay and corner frequency of a second-order Butterworth filter, for frequencies well
-below the corner."""
 
 
 @dataclass(frozen=True)

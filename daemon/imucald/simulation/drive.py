@@ -29,7 +29,6 @@ from imucald.simulation.road import RoadAttitude, road_attitude, road_roughness,
 from imucald.simulation.single_track import VehicleResponse, handle, steer_for
 from imucald.simulation.vehicle_signals import VehicleSignals
 
-MIN_DURATION_S = 1.0
 MOVING_MPS = 1.0
 """Speed above which a time counts as driving, for means 'while driving' [m/s]."""
 
@@ -129,7 +128,7 @@ def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
     ConfigError for a duration below one second and for an infinite duration.
     """
     duration_s = 60.0 * minutes
-    if not MIN_DURATION_S <= duration_s < math.inf:
+    if not 1.0 <= duration_s < math.inf:
         raise ConfigError(
             f"a drive of {minutes:g} min is not possible: it must last at least a "
             "second and be finite"

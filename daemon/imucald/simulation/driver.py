@@ -37,7 +37,6 @@ FADE_SPEED_MPS = 42.0
 """Speed at which the acceleration is zero, because of the engine's power [m/s]."""
 EASE_SPEED_MPS = 4.0
 """Speed below which drivers gradually release the brake, to half at standstill [m/s]."""
-STILL_MPS = 1e-6
 DRIFT_GRID_S = 1.0
 MIN_SPEED_FOR_WANDER = 6.0
 """Speed below which the curvature of steering corrections is limited [m/s]."""
@@ -75,7 +74,7 @@ def drive_route(
     path = _gentle(path, GRIP_SHARE * friction * GRAVITY)
     node_t, node_v, node_s, node_kappa, node_banked = _timed(path, route, seed, duration_s)
     speed = smoothed(np.interp(t, node_t, node_v), rate, JERK_WINDOW_S)
-    speed[np.abs(speed) < STILL_MPS] = 0.0
+    speed[np.abs(speed) < 1e-6] = 0.0
     distance = _distance(t, speed, rate, node_t, node_s)
     curvature = smoothed(np.interp(distance, node_s, node_kappa), rate, STEERING_WINDOW_S)
     curvature += _steering_wander(route, seed, speed, rate)

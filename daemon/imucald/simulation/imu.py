@@ -17,20 +17,19 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
-from imucald.model.sensors import Temperature, TriaxialSensor
+from imucald.model.sensors import REFERENCE_DEGC, Temperature, TriaxialSensor
 from imucald.model.vehicle import Mount
 from imucald.simulation.body import BodyMotion
+from imucald.simulation.driver import SHIFT_SPEEDS_MPS
 from imucald.simulation.filters import butterworth, filtered, generator
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 
-REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0
 VIBRATION_CORNER_HZ = 2.0
 """Frequency above which the body vibration is white [Hz]. Below this frequency, the vibration
 decreases."""
 IDLE_HZ = 26.0
 """Frequency of the second engine order of a four-cylinder engine that idles at 780 1/min [Hz]."""
-GEAR_UPPER_MPS = (4.5, 8.5, 13.5, 19.0)
 GEAR_HZ_PER_MPS = (9.0, 5.5, 3.9, 2.9, 2.1)
 
 Mounts = Sequence[tuple[float, Matrix3]]
@@ -146,9 +145,7 @@ def _finished(
         values += noise * (triad.noise_density * math.sqrt(0.5 * triad.rate_hz))
     if triad.full_scale is not None:
         np.clip(values, -triad.full_scale, triad.full_scale, out=values)
-    values = quantised(values, triad.lsb)
-    kept = timing.kept
-    return Series(timing.stamp[kept], values[timing.source[kept]])
+    return timing.series(quantised(values, triad.lsb))
 
 
 def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:
@@ -164,7 +161,7 @@ def _engine(speed: Array, rate: float, phase: float) -> Array:
     """Return a sine of the second engine order. The frequency is the idle frequency at rest, and
     depends on speed and gear in motion."""
     v = np.abs(speed)
-    per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(GEAR_UPPER_MPS, v)]
+    per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(SHIFT_SPEEDS_MPS, v)]
     frequency = np.maximum(IDLE_HZ, per_mps * v)
     result: Array = np.sin(2.0 * np.pi * (phase + np.cumsum(frequency) / rate))
     return result

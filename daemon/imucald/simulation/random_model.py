@@ -16,7 +16,6 @@ MILLI_G = GRAVITY / 1000.0
 ACCEL_BIAS_MPS2 = 10.0 * MILLI_G
 """rms of the accelerometer bias on each axis [m/s^2]."""
 GYRO_BIAS_RADPS = math.radians(0.3)
-SPEED_SCALE = 0.01
 SLOPE_RMS = 0.02
 """rms of grade and cross fall (tangents), including the mean crown."""
 CROWN_MEAN, CROWN_SPREAD = 0.012, 0.006
@@ -121,7 +120,7 @@ def random_model(
         "delay_s": accel_delay,
         "clock_drift_ppm": data["accel"]["clock_drift_ppm"],
     }
-    speed_scale = SPEED_SCALE * float(rng.standard_normal())
+    speed_scale = 0.01 * float(rng.standard_normal())
     speed_delay = uniform(0.0, MAX_DELAY_S)
     data["speed"] = {"scale": speed_scale, "delay_s": speed_delay, "jitter_s": 0.001}
     data["wheel_speeds"] = {

@@ -16,8 +16,6 @@ from imucald.core.arrays import Array
 from imucald.model.vehicle import DriveRoute
 from imucald.simulation.filters import generator
 
-FINE_STEP_M = 0.5
-COARSE_STEP_M = 1.0
 COARSE_FROM_MPS = 14.0
 """Speed below which nodes are 0.5 m apart [m/s]. Above this speed, nodes are 1 m apart."""
 LANE_WIDTH_M = 3.5
@@ -90,7 +88,7 @@ class RouteBuilder:
         piece."""
         route = self._route
         speed *= route.speed_factor
-        step = COARSE_STEP_M if speed >= COARSE_FROM_MPS else FINE_STEP_M
+        step = 1.0 if speed >= COARSE_FROM_MPS else 0.5
         n = max(2, round(length / step))
         share = (np.arange(n) + 0.5) / n
         stops = np.zeros(n)
@@ -272,14 +270,6 @@ def _mixed(builder: RouteBuilder, _route: DriveRoute) -> None:
         builder.motorway(builder.uniform(2000.0, 5500.0))
 
 
-def _city(builder: RouteBuilder, _route: DriveRoute) -> None:
-    builder.city_block()
-
-
-def _motorway(builder: RouteBuilder, _route: DriveRoute) -> None:
-    builder.motorway(builder.uniform(20_000.0, 60_000.0))
-
-
 def _straight_only(builder: RouteBuilder, _route: DriveRoute) -> None:
     speed = builder.uniform(8.0, 22.0)
     builder.straight(builder.uniform(80.0, 300.0), speed)
@@ -299,8 +289,8 @@ def _circles(builder: RouteBuilder, route: DriveRoute) -> None:
 
 _KINDS: dict[str, Callable[[RouteBuilder, DriveRoute], None]] = {
     "mixed": _mixed,
-    "city": _city,
-    "motorway": _motorway,
+    "city": lambda builder, _route: builder.city_block(),
+    "motorway": lambda builder, _route: builder.motorway(builder.uniform(20_000.0, 60_000.0)),
     "straight_only": _straight_only,
     "circles": _circles,
 }

@@ -37,8 +37,6 @@ the effect of this start decays within tenths of a second. Small blocks keep the
 in the processor's cache."""
 LOST = 15.0
 """Sideways speed [m/s] or yaw rate [rad/s] above which a vehicle has left the road."""
-NEWTON_STEPS = 25
-NEWTON_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -98,14 +96,14 @@ def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: flo
     state[:, 0] = chassis.cg_to_rear_m * state[:, 1]
     forcing = np.column_stack((-GRAVITY * np.sin(bank), np.zeros(len(speed))))
     with np.errstate(all="ignore"):
-        for _ in range(NEWTON_STEPS):
+        for _ in range(25):
             acceleration, jacobian = _dynamics(chassis, speed, steer, state)
             try:
                 change = _newton_step(state, acceleration + forcing, jacobian, rate)
             except LinAlgError:
                 break
             state += change
-            if float(np.max(np.abs(change))) < NEWTON_TOLERANCE:
+            if float(np.max(np.abs(change))) < 1e-9:
                 return state
     return _stepped(chassis, speed, steer, forcing, rate)
 

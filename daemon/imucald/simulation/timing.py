@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.arrays import Array
-from imucald.core.samples import LATERAL_ACCEL, LONGITUDINAL_ACCEL, YAW_RATE
+from imucald.core.samples import LATERAL_ACCEL, LONGITUDINAL_ACCEL, YAW_RATE, Series
 from imucald.model.sensors import Transmission
 from imucald.simulation.filters import generator
 
@@ -38,6 +38,10 @@ class Timing:
     stamp: Array
     kept: NDArray[np.bool_]
     source: NDArray[np.int64]
+
+    def series(self, values: NDArray[np.float64]) -> Series:
+        """Return the samples that are received. values: (N,) or (N, width), of all frames."""
+        return Series(self.stamp[self.kept], values[self.source[self.kept]])
 
 
 def frame_timing(message: Transmission, name: str, seed: int, duration_s: float) -> Timing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,32 +99,19 @@ class VehicleSignals:
         body_axes = np.column_stack([at_times(c, self._rate, when) for c in (x, y, z)])
         values = turned(mount, when, body_axes) + np.array(mag.hard_iron_t)
         noise = generator(self._seed, "noise:mag").standard_normal(values.shape)
-        values = quantised(values + mag.noise_t * noise, mag.lsb)
-        return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
+        return timing.series(quantised(values + mag.noise_t * noise, mag.lsb))
 
-    def _sample(self, name: str, message: Transmission, *columns: Array) -> tuple[Array, ...]:
-        """Return the time stamps and the sampled columns. Lost frames are left out, and stuck
-        values are repeated."""
+    def _sample(self, name: str, message: Transmission, *columns: Array) -> tuple[Any, ...]:
+        """Return the time stamps, the rows whose values are in the frames, and the sampled columns.
+        Lost frames are left out. The same row repeats while the signal is stuck."""
         timing = frame_timing(message, name, self._seed, self._duration)
         when = timing.sampled - message.delay_s
         if isinstance(message, Speed):
             when -= message.delay_rate * timing.sampled
         index = timing.source[timing.kept]
-        return (
-            timing.stamp[timing.kept],
-            *(at_times(column, self._rate, when)[index] for column in columns),
-        )
-
-    def _sent(self, name: str, message: Transmission) -> NDArray[np.int64] | slice:
-        """Return the indices of the rows whose values are in the frames. The same index repeats
-        while the signal is stuck."""
-        if not message.stuck:
-            return slice(None)
-        timing = frame_timing(message, name, self._seed, self._duration)
-        _, first, which = np.unique(
-            timing.source[timing.kept], return_index=True, return_inverse=True
-        )
-        return first[which]
+        _, first, which = np.unique(index, return_index=True, return_inverse=True)
+        sampled = (at_times(column, self._rate, when)[index] for column in columns)
+        return timing.stamp[timing.kept], first[which], *sampled
 
     def _noise(self, name: str, shape: tuple[int, ...], rms: float) -> NDArray[np.float64]:
         return rms * generator(self._seed, f"noise:{name}").standard_normal(shape)
@@ -134,10 +122,10 @@ class VehicleSignals:
         true = np.abs(self._driving.speed) * 0.5 * (grip[2] + grip[3])
         if speed.time_constant_s > 0.0:
             true = first_order(true, self._rate, speed.time_constant_s)
-        t, v = self._sample("speed", speed, true)
+        t, sent, v = self._sample("speed", speed, true)
         noise = self._noise("speed", v.shape, speed.noise_mps)
         values = _rolling(v, speed.scale, speed.dead_band_mps, speed.lsb, noise)
-        return Series(t, values[self._sent("speed", speed)])
+        return Series(t, values[sent])
 
     def _wheel_speeds(self) -> Series:
         wheels, chassis = self._model.wheel_speeds, self._model.chassis
@@ -155,11 +143,11 @@ class VehicleSignals:
             np.abs(v + half) * braked,
         ]
         true = [x * grip for x, grip in zip(true, self._grip(), strict=True)]
-        t, *sampled = self._sample("wheel_speeds", wheels, *true)
+        t, sent, *sampled = self._sample("wheel_speeds", wheels, *true)
         values = np.column_stack(sampled)
         noise = self._noise("wheel_speeds", values.shape, wheels.noise_mps)
         values = _rolling(values, np.array(wheels.scale), wheels.dead_band_mps, wheels.lsb, noise)
-        return Series(t, values[self._sent("wheel_speeds", wheels)])
+        return Series(t, values[sent])
 
     def _grip(self) -> list[Array | float]:
         """Return the factor on each wheel's speed: 1, and less than 1 in segments with wheel
@@ -182,20 +170,18 @@ class VehicleSignals:
         values = at_times(signal, self._rate, timing.sampled - scalar.delay_s)
         values = (1.0 + scalar.scale) * values + scalar.offset
         values += self._noise(name, values.shape, scalar.noise)
-        values = quantised(values, scalar.lsb)
-        return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
+        return timing.series(quantised(values, scalar.lsb))
 
     def _flag(self, row: Quantity, on: NDArray[np.bool_]) -> Series:
         message: Transmission = getattr(self._model, row.channel)
-        t, values = self._sample(row.channel, message, on.astype(float))
+        t, _, values = self._sample(row.channel, message, on.astype(float))
         return Series(t, np.rint(values))
 
     def _temperature(self) -> Series:
         temperature = self._model.temperature
         timing = frame_timing(temperature, TEMPERATURE.channel, self._seed, self._duration)
         values = temperature_at(temperature, np.maximum(timing.sampled, 0.0))
-        values = quantised(values, temperature.lsb)
-        return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
+        return timing.series(quantised(values, temperature.lsb))
 
 
 def _rolling(

@@ -18,17 +18,15 @@ from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
 from imucald.core.text import counted
 from imucald.diagnosis.direct.levels import levels_of, step_of
-from imucald.diagnosis.direct.single_values import Lost
+from imucald.diagnosis.direct.single_values import LEAST_ROWS, Lost
 from imucald.diagnosis.direct.stuck import STUCK, Fault, is_shown_often, stuck, stuck_fault
 from imucald.diagnosis.direct.successive import stays_until_off
-from imucald.diagnosis.signals import CHANCE, Channel, Mask, Spans, duplicates
+from imucald.diagnosis.signals import CHANCE, SIGNALS, Channel, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
 from imucald.motion.recorded_health import recorded_health
 
 WANDER_S = 0.01
 """Largest drift of time stamps away from a steady cycle [s]."""
-NEAR = 0.4
-"""Largest part of a cycle by which a frame is late. Beyond half a cycle, it is early."""
 ADDED_UP = 0.5
 """Limit of the variance ratio: variance of a sum of many steps divided by the sum of their
 variances (Lo and MacKinlay 1988). The ratio is 1 if each step begins when the previous step ends (a
@@ -40,8 +38,6 @@ number of iterations."""
 PARTS = 8
 """Number of parts of a drive. The scatter of the slopes in these parts gives the accuracy of the
 slope in the whole drive."""
-LEAST_ROWS = 100
-WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Share and number of frames that a bus and a logger may lose without a fault."""
@@ -121,7 +117,7 @@ def _adds_up(steps: Array, cycle: float) -> bool:
     """True if delays add up from frame to frame. No clock then triggers the frames, and the mean
     step is not the cycle time of a clock. steps: (N,) [s]."""
     late = late_steps(steps, cycle)
-    late = late[np.abs(late) < NEAR * cycle]
+    late = late[np.abs(late) < 0.4 * cycle]  # beyond half a cycle, a frame is early
     late = late - late.mean()
     total = np.concatenate([[0.0], np.cumsum(late)])
     many = min(NEIGHBOURS, len(late) // 2)
@@ -154,9 +150,9 @@ def find_faults(
     """
     moving, none = _moving(samples), lost or {}
     found: list[Fault] = []
-    for name in WATCHED:
+    for name in SIGNALS:
         series = samples.get(name)
-        if series is None or len(series.t) < LEAST_ROWS:
+        if name == "wheel_speeds" or series is None or len(series.t) < LEAST_ROWS:
             continue
         if name in INERTIAL:
             read = none[name].kept(series) if name in none else series
@@ -174,14 +170,12 @@ def find_faults(
 
 
 def invalid_spans(
-    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost], held: bool = False
+    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost]
 ) -> dict[str, Spans]:
-    """Return, by signal, the intervals of time that must not be used. held: at the end of a range,
-    return only the samples with the end value."""
+    """Return, by signal, the intervals of time that must not be used."""
     made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
-        own = fault.held if held and fault.held else fault.spans
-        made[fault.signal] = (*made.get(fault.signal, ()), *own)
+        made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
     return made
 
 
@@ -221,9 +215,10 @@ def _of_sensor(name: str, series: Series, moving: tuple[Array, Array]) -> Iterat
         yield Fault(
             "saturation", name, values, text,
             {f"{name}.full_scale": size} if size and name in ("accel", "gyro") else {},
-            spans_of(series.t, hit), 0.5 * float(hit.sum()), _runs_of(series.t, hit),
+            spans_of(series.t, hit), 0.5 * float(hit.sum()),
         )  # fmt: skip
-    held = _runs_of(series.t, found.stuck & ~hit)
+    t = series.t
+    held = [(float(t[a]), float(t[b - 1])) for a, b in true_runs(found.stuck & ~hit)]
     if spans := [span for span in held if not is_shown_often(series, span)]:
         yield stuck_fault(name, spans)
 
@@ -246,11 +241,6 @@ def _common_range(values: Array, ends: Sequence[float]) -> float:
     size = min(abs(end) for end in ends)
     step = step_of(levels_of(np.abs(values)))
     return size if np.abs(values).max() < size + 1.5 * step + 1e-9 * size else 0.0
-
-
-def _runs_of(t: Array, hit: Mask) -> Spans:
-    """Return the intervals of time that contain exactly these rows."""
-    return tuple((float(t[first]), float(t[after - 1])) for first, after in true_runs(hit))
 
 
 def spans_of(t: Array, hit: Mask) -> Spans:
@@ -293,7 +283,11 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     stated = float(message.loss)
     chance = 5.0 * np.sqrt(max(stated, 1e-4) * sent)
     loses = lost >= LOST_FEWEST and lost - stated * sent > max(LOST_TOLERANCE * sent, chance)
-    if loses and not _has_other_rate(steps):
+    # If long steps follow each other, the sender has changed its rate and loses no frames. After
+    # most losses, a step of one cycle follows.
+    wide = steps > 1.0
+    has_other_rate = wide[:-1].any() and wide[1:][wide[:-1]].mean() > 0.5
+    if loses and not has_other_rate:
         share = lost / sent
         yield Fault(
             "dropouts", name, {f"{name}.loss": (share, float(np.sqrt(share / sent)), "1")},
@@ -316,11 +310,3 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             {} if has_holes else {key: ppm}, (), abs(off) / CLOCK_PPM * 10.0,
             against=("frames are missing, so they were counted by their time stamps",) * has_holes,
         )  # fmt: skip
-
-
-def _has_other_rate(steps: Array) -> bool:
-    """True if long steps follow each other. The sender has then changed its rate, and no frames are
-    lost. After most random losses or burst losses, a step of one cycle follows. steps: (N,)
-    [cycles]."""
-    wide = steps > 1.0
-    return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)

@@ -1,10 +1,9 @@
 """Evidence from a signal's values alone: the levels of its converter.
 
-The levels of a converter, or of a unit that forwards its values, are one step apart. If a later
-drive has coarser steps than the drives of the model file, there is a new device or setting between
-sensor and log. The same is true if the signal is 0 up to a higher value. If a signal jumps over a
-range of values repeatedly and never shows a value in it, the range is missing. An extended model
-file contains the levels of its own drives.
+The levels of a converter are one step apart. If a later drive has coarser steps than the drives of
+the model file, or is 0 up to a higher value, there is a new device or setting between sensor and
+log. If a signal jumps over a range of values repeatedly and never shows a value in it, the range is
+missing. An extended model file contains the levels of its own drives.
 """
 
 from __future__ import annotations
@@ -22,15 +21,10 @@ from imucald.core.samples import QUANTITIES
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.fit.beside_file import short, six, with_entries
 from imucald.diagnosis.fit.chance import Answer
-from imucald.diagnosis.signals import Channel, DriveSignals, Mask
+from imucald.diagnosis.signals import SIGNALS, Channel, DriveSignals, Mask
 from imucald.model.leaves import GAP_QUANTILES, Leaves
 from imucald.model.model import VehicleModel
 
-SIGNALS = (
-    "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
-    "longitudinal_accel",
-)  # fmt: skip
-"""Signals that are tested."""
 OF_WHEELS = ("speed", "wheel_speeds")
 """Signals that are 0 below some speed."""
 NEAR_STEPS, OFF_STEP, ON_STEPS = 5.5, 0.1, 0.9
@@ -48,8 +42,6 @@ OBD_STEP = 1.0 / 3.6
 FEW_CHANGES = 0.25
 """Quantile of the signal's changes. A hole must be wider than this quantile, because noise alone
 may cause smaller changes."""
-LEAST_CODES = 2
-"""Smallest number of codes in a hole: any converter may have single missing codes."""
 
 
 @dataclass(frozen=True)
@@ -97,35 +89,16 @@ def levels_of(x: Array) -> Array:
     return np.asarray(found[np.concatenate([[True], apart])])
 
 
-def finest_of(levels: Array) -> float:
-    """Return the gap between levels that nine tenths of the gaps reach or exceed; 0 if there are
-    few gaps."""
-    gaps = np.diff(levels)
-    return (
-        float(np.quantile(gaps, GAP_QUANTILES[0], method="lower"))
-        if len(gaps) >= LEAST_GAPS
-        else 0.0
-    )
-
-
 def step_of(levels: Array) -> float:
-    """Return the step of the converter that made these levels; 0 if the levels are not on a common
-    grid."""
-    gaps, step = np.diff(levels), finest_of(levels)
-    if step == 0.0:
+    """Return the step of the converter that made these levels: the gap that nine tenths of the gaps
+    reach or exceed. 0 if there are few gaps, or if the levels are not on a common grid."""
+    gaps = np.diff(levels)
+    if len(gaps) < LEAST_GAPS:
         return 0.0
+    step = float(np.quantile(gaps, GAP_QUANTILES[0], method="lower"))
     near = gaps[gaps < NEAR_STEPS * step] / step
     whole = np.abs(near - np.round(near)) <= OFF_STEP
     return step if len(near) >= LEAST_GAPS and whole.mean() >= ON_STEPS else 0.0
-
-
-def is_one_grid(levels: Array, step: float) -> bool:
-    """True if all levels are on one grid from end to end. Readings that were rotated after rounding
-    form clusters: their gaps are equal, but do not add up to a grid."""
-    code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
-    slope, start = np.polyfit(code, levels, 1)
-    off = np.abs(levels - start - slope * code)
-    return bool((off <= OFF_STEP * step).mean() >= ON_STEPS)
 
 
 # against the file --------------------------------------------------------------------------------
@@ -197,7 +170,13 @@ def hole(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
     above 1 km/h only."""
     levels = levels_of(signal.values)
     step = step_of(levels)
-    if step == 0.0 or not is_one_grid(levels, step):
+    if step == 0.0:
+        return
+    # Readings that were rotated after rounding form clusters: their gaps are equal, but do not add
+    # up to one grid from end to end.
+    code = np.cumsum(np.round(np.diff(levels, prepend=levels[0]) / step))
+    slope, start = np.polyfit(code, levels, 1)
+    if (np.abs(levels - start - slope * code) <= OFF_STEP * step).mean() < ON_STEPS:
         return
     x = signal.values
     low = np.minimum(x[1:], x[:-1])[signal.is_next]
@@ -205,8 +184,9 @@ def hole(signal: Numbers, _: VehicleModel) -> Iterator[Answer]:
     changes = (high - low)[high - low > 0.5 * step]
     if not len(changes):
         return
-    # A signal that is rounded twice misses codes over its whole range.
-    twice = (LEAST_CODES + 0.5) * max(step, float(np.median(np.diff(levels))))
+    # A signal that is rounded twice misses codes over its whole range, and any converter may have
+    # single missing codes.
+    twice = 2.5 * max(step, float(np.median(np.diff(levels))))
     least = max(twice, float(np.quantile(changes, FEW_CHANGES)))
     wide = [
         (a, b)

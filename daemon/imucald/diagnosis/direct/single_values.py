@@ -1,10 +1,9 @@
 """Find single values of a sensor that are no measurement: lost readings, and values that it holds.
 
-A lost reading is the value that a sensor outputs when a connector opens, or a default value. A true
-signal reaches a value through neighbouring values. A lost reading jumps to the invalid value and
-back from any other value, without values in between. A held value is one that the sensor shows far
-more often than the neighbouring values. Causes are a dead zone, a default value that is sent
-without a measurement, or missing codes of a converter.
+A lost reading is the value that a sensor outputs when a connector opens. A true signal reaches a
+value through neighbouring values; a lost reading jumps to the invalid value and back from any other
+value. A held value is one that the sensor shows far more often than the neighbouring values,
+because of a dead zone, a default value, or missing codes of a converter.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.arrays import Array, true_runs
 from imucald.core.samples import INERTIAL, QUANTITIES, Samples, Series
+from imucald.diagnosis.cause_keys import TRIADS
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.result import Kind, Structure
 from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, DriveSignals, Mask
@@ -30,15 +29,12 @@ PASSES_HALF = 0.25
 half its usual distance of a value, it reaches the value in at most this share of the cases. The
 reason is that the tails of a distribution with a finite variance fall faster than 1/x^2
 (Chebyshev)."""
-SENSORS = ("accel", "gyro")
 BESIDE = 3
 """Smallest number of neighbouring levels on each side of a value. The value is compared with the
 most frequent of these levels."""
 WINDOW, LEAST_WINDOWS = 100, 10
 """Number of samples in a window for the noise, which gives the noise to 10 %; smallest number of
 windows."""
-QUIETEST = 0.1
-"""Quantile of the windows' noise that is used as the noise of the sensor."""
 LEAST_SHOWN = 300
 
 
@@ -89,8 +85,9 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     jumps = np.flatnonzero(far[:-1] & far[1:]) + 1
     if not len(jumps):
         return None
-    if table.shape[1] == 1 and _ends_both_ways(runs[:, 0], jumps):
-        return None
+    ends = runs.min(), runs.max()
+    if table.shape[1] == 1 and all((runs[jumps, 0] == end).sum() > 1 for end in ends):
+        return None  # shocks beyond both ends of the range; lost readings have one value
     values, index = np.unique(runs[jumps], axis=0, return_inverse=True)
     counts = np.bincount(index.ravel())
     best = int(np.argmax(counts))
@@ -108,19 +105,12 @@ def lost_readings(series: Series, signals: int) -> Lost | None:
     return Lost(value, (table == value).all(axis=1), visits)
 
 
-def _ends_both_ways(runs: Array, jumps: NDArray[np.intp]) -> bool:
-    """True if jumps lead repeatedly to both ends of the range. Such jumps are shocks beyond the
-    range, because lost readings have one value only. runs: (N,) values of a signal with one
-    component."""
-    return all(int((runs[jumps] == end).sum()) > 1 for end in (runs.min(), runs.max()))
-
-
 def held_values(drives: Sequence[DriveSignals]) -> Iterator[Answer]:
     """Yield the values that a sensor holds and no found fault explains. A signal is reported once,
     for its first drive."""
     found: dict[str, Answer] = {}
     for drive in drives:
-        for name in SENSORS:
+        for name in TRIADS:
             if drive.has(name):
                 for one in _of_sensor(name, drive, len(drives)):
                     found.setdefault(one.signal, one)
@@ -138,7 +128,7 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Answer]:
     fresh = np.ones(len(table), dtype=bool)
     fresh[1:] = (np.diff(table, axis=0) != 0.0).any(axis=1)
     table = table[fresh]
-    questions = len(SENSORS) * 3 * drives
+    questions = len(TRIADS) * 3 * drives
     for axis in range(table.shape[1]):
         held = _held(table[:, axis], questions)
         if held is None:
@@ -196,5 +186,5 @@ def noise_about(x: Array, value: float = np.nan) -> float:
     sums = (steps * away)[:size].reshape(-1, WINDOW).sum(axis=1)
     full = there > WINDOW // 2
     if full.sum() >= LEAST_WINDOWS:
-        return float(np.sqrt(np.quantile(sums[full] / there[full], QUIETEST)))
+        return float(np.sqrt(np.quantile(sums[full] / there[full], 0.1)))
     return float(np.sqrt(steps[away].mean())) if away.sum() >= LEAST_SHOWN else 0.0

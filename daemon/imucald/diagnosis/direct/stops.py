@@ -13,15 +13,15 @@ from scipy.stats import t as student
 
 from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
-from imucald.diagnosis.cause_keys import mounts, sensor_of, tolerance
+from imucald.diagnosis.cause_keys import sensor_of, tolerance
 from imucald.diagnosis.signals import CHANCE, DriveSignals
 from imucald.model.model import VehicleModel
+from imucald.model.sensors import REFERENCE_DEGC
+from imucald.simulation.imu import mounts
 
-FEW_STOPS = 3
 LEAST_SE = 0.04 * DEG
 """Accuracy of the zero error from one or two stops [rad/s]. Between the stops of one measured
 drive, the zero error differs by 0.03 deg/s."""
-FINEST_SE = 0.004 * DEG
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,11 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
     for drive in drives:
         for stop in drive.stops:
             middle = 0.5 * (stop.start_s + stop.stop_s)
-            R = [R for start, R in mounts(model) if start <= middle][-1]
+            R = [R for start, R in mounts(model.mount) if start <= middle][-1]
             kelvin = 0.0
             if drive.has("temperature"):
-                kelvin = float(drive.channels["temperature"].means(np.array([middle]))[0]) - 25.0
+                warm = drive.channels["temperature"].means(np.array([middle]))[0]
+                kelvin = float(warm) - REFERENCE_DEGC
             raw = stop.gyro - sensor.bias - sensor.per_kelvin * kelvin
             raw = raw - sensor.per_force * stop.accel
             rates.append(R @ inverse @ raw)
@@ -82,9 +83,9 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
     table, n = np.array(rates), len(rates)
     mean = table.mean(axis=0)
     scatter = np.std(table, axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.zeros(3)
-    if n < FEW_STOPS:
+    if n < 3:
         # If two stops differ by more than the accuracy of one stop, they have no common zero.
         return Rest(mean, np.maximum(scatter, LEAST_SE), 3.0, n, float(np.mean(kelvins)))
-    se = np.maximum(scatter, FINEST_SE)
+    se = np.maximum(scatter, 0.004 * DEG)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
     return Rest(mean, se, min(q, 10.0), n, float(np.mean(kelvins)))

@@ -5,17 +5,14 @@ is stuck if it stays at one value longer than it normally does and ends this sta
 change. A speed is stuck only if the inertial sensors contradict it: on a motorway, a coarse speed
 stays at one value for minutes.
 
-A stay is a run of equal values. At constant speed, a signal stays at a value longer than in town,
-so the lengths of its stays have a heavier tail than a geometric distribution. The model of a stay
-therefore has a probability of going on that is drawn from a beta distribution, once for each stay.
-The lengths then have a beta-geometric distribution (Waring's distribution; Weinberg and Gladen
-1986) with a tail n^-b. The distribution is nearly geometric if the log shows no heavier tail.
+A stay is a run of equal values. The probability that a stay goes on is drawn from a beta
+distribution, once for each stay, because stays are longer at constant speed than in town. The
+lengths then have a beta-geometric distribution (Waring's distribution; Weinberg and Gladen 1986),
+with a tail n^-b.
 
 The speed is predicted from accelerometer and gyroscope. The residual contains noise and the effect
-of the road, and its size is about the same throughout a drive. If the speed signal repeats an old
-value, the residual is as large as the hidden change of speed. The mount is not known here, so the
-relation between the speed and the three axes is fitted to the drive, with the rotation of gravity
-from the gyroscope.
+of the road. If the speed signal repeats an old value, the residual is as large as the hidden change
+of speed. The mount is not known here, so the relation of the speed to the three axes is fitted.
 """
 
 from __future__ import annotations
@@ -41,24 +38,14 @@ FEW_STAYS = 20
 LONGEST = 0.1
 """Share of the longest stays for a separate estimate of the tail (peaks over a threshold, Pickands
 1975)."""
-_GRID = (np.arange(40) + 0.5) / 40.0
-_GOES_ON, _ONE_OVER_B = np.meshgrid(_GRID, _GRID, indexing="ij")
-_B = 1.0 / _ONE_OVER_B
-"""Values of b. b is above 1, so that the mean length of a stay is finite. The prior is uniform in
-1/b and in the mean probability a/(a + b)."""
-_A = _GOES_ON / (1.0 - _GOES_ON) * _B
 STEP_S = 0.2
 PART_S = 20.0
 """Length of the parts of a long interval that are compared with windows of the drive [s]."""
 LEAST_WINDOWS = 8
 """Smallest number of windows of the same length with which an interval is compared."""
-APART = 4
-"""Divisor of the window length: if a window contains a stop, the next window begins 1/APART of a
-length later."""
 STUCK = "stuck_signal"
 STUCK_S = 8.0
 """Shortest time [s] that counts as stuck for a signal that may keep its value."""
-FEW_OTHERS = 3
 
 
 def number_as_long(own: Index, length: int) -> float:
@@ -79,22 +66,21 @@ def number_as_long(own: Index, length: int) -> float:
 
 def _beyond(more: Index, length: int) -> float:
     """Return the expected number as in `number_as_long`, for the part of the stays beyond a
-    threshold, from the posterior of a and b.
+    threshold, from the posterior of a and b. The prior is uniform in 1/b and in the mean
+    probability a/(a + b). b is above 1, so that the mean length of a stay is finite.
 
     P(L >= n) = B(a + n, b)/B(a, b), P(L = n) = B(a + n, b + 1)/B(a, b).
     """
-    logs = np.zeros_like(_A)
+    grid = (np.arange(40) + 0.5) / 40.0
+    goes_on, one_over_b = np.meshgrid(grid, grid, indexing="ij")
+    b = 1.0 / one_over_b
+    a = goes_on / (1.0 - goes_on) * b
+    logs = np.zeros_like(a)
     for n, count in zip(*np.unique(more, return_counts=True), strict=True):
-        logs += count * (betaln(_A + n, _B + 1.0) - betaln(_A, _B))
+        logs += count * (betaln(a + n, b + 1.0) - betaln(a, b))
     weights = np.exp(logs - logs.max())
-    tail = np.exp(betaln(_A + length, _B) - betaln(_A, _B))
+    tail = np.exp(betaln(a + length, b) - betaln(a, b))
     return float(np.average(tail, weights=weights)) * (len(more) + 1)
-
-
-def chance_of_change(own: Array, change: float) -> float:
-    """Return the chance of a change at least as large as the change that ends a stay, by its rank.
-    own: (M,) other changes."""
-    return float((1 + (own >= change).sum()) / (len(own) + 1))
 
 
 def chance_of_any(product: float, count: int, asked: int) -> float:
@@ -170,7 +156,7 @@ def _integral(x: Array) -> Array:
 
 def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
     """Return the first rows of consecutive windows of n rows in motion. No window contains part of
-    an interval."""
+    an interval. After a stop in a window, the next window begins a quarter of a window later."""
     good = v > DRIVING_MPS
     for low, high in spans:
         good &= (t < low) | (t > high)
@@ -180,7 +166,7 @@ def _windows(t: Array, v: Array, n: int, spans: Spans) -> list[int]:
         is_clear = bad[i + n] == bad[i]
         if is_clear:
             starts.append(i)
-        i += n if is_clear else max(n // APART, 1)
+        i += n if is_clear else max(n // 4, 1)
     return starts
 
 
@@ -225,18 +211,13 @@ class Fault:
     """Intervals of time [s] that must not be used."""
     score: float = 50.0
     """Evidence [nats], if known."""
-    held: Spans = ()
-    """At the end of a range: the samples with the end value, without the margin around them."""
     against: tuple[str, ...] = ()
     """Arguments against the fault, as sentences. A fault with such an argument is likely and not
     certain."""
 
 
 def stuck(
-    name: str,
-    series: Series,
-    samples: Samples,
-    moving: tuple[Array, Array],
+    name: str, series: Series, samples: Samples, moving: tuple[Array, Array]
 ) -> Iterator[Fault]:
     """Yield a fault if a slow signal has intervals with one constant value while the vehicle moves.
 
@@ -293,7 +274,7 @@ def is_shown_often(series: Series, span: tuple[float, float]) -> bool:
     first = true_runs((np.diff(table, axis=0) == 0.0).all(axis=1))[:, 0]
     inside = (t >= span[0]) & (t <= span[1])
     others = first[~inside[first]]
-    if len(others) < FEW_OTHERS:
+    if len(others) < 3:
         return False
     return bool((table[others] == table[inside][0]).all(axis=1).mean() > 0.5)
 
@@ -326,7 +307,8 @@ def _chances(
         if ends[k]:
             like = changes[last[others & ends]]
             own = like if len(like) > FEW_STAYS else changes[changes > 0.0]
-            factors.append(chance_of_change(own, float(changes[last[k]])))
+            # Chance of a change at least as large, by its rank.
+            factors.append(float((1 + (own >= changes[last[k]]).sum()) / (len(own) + 1)))
         if np.isfinite(felt[k]):
             factors.append(float(felt[k]))
         made[k] = chance_of_any(float(np.prod(factors)), len(factors), len(asked))

@@ -6,15 +6,11 @@ samples, relative to the other axes, depends on vehicle and sensor, so it is the
 `changes_missing`, `jumps_alone`: small changes are more common than large changes in every signal,
 also if each change is divided by the changes just before and after it.
 
-`follows`: each segment of a drive gives six numbers without a unit. The first number is the share
-of values that repeat the previous value. The second number is the share of values that continue the
-straight line of the two previous values. Both shares are compared with chance for this step and
-noise. The other four numbers describe the tails of the changes, and the share of a change that the
-next change reverses. A road of the next roughness class enlarges all changes and does not change
-these numbers. They show a change between sensor and log, such as a filter, a filled gap or a held
-value. No equation of motion shows such a change.
-
-A model file contains the medians over the segments of its own drives.
+`follows`: each segment of a drive gives six numbers without a unit: the shares of values that
+repeat the previous value or continue a straight line, compared with chance, the tails of the
+changes, and the share of a change that the next change reverses. A rougher road enlarges all
+changes and does not change these numbers. A filter, a filled gap or a held value does. No equation
+of motion shows such a change.
 """
 
 from __future__ import annotations
@@ -32,7 +28,7 @@ from scipy.stats import binom
 from imucald.core.arrays import Array
 from imucald.core.samples import INERTIAL
 from imucald.core.text import counted
-from imucald.diagnosis.cause_keys import mounts
+from imucald.diagnosis.cause_keys import TRIADS, mount_of
 from imucald.diagnosis.direct.levels import (
     GAIN,
     OBD_STEP,
@@ -46,12 +42,13 @@ from imucald.diagnosis.direct.levels import (
 )
 from imucald.diagnosis.direct.single_values import PASSES_HALF, noise_about
 from imucald.diagnosis.fit.beside_file import ROAD_CLASS, Family, FamilyRow, Left, joined
+from imucald.diagnosis.fit.blocks import LEAST_SHARE
 from imucald.diagnosis.fit.chance import Answer, beyond_chance
 from imucald.diagnosis.signals import STANDING_MPS, Channel, DriveSignals, Mask
 from imucald.model.leaves import LAGS
 from imucald.model.model import VehicleModel
+from imucald.simulation.imu import mounts
 
-TRIADS = ("accel", "gyro")
 ROUGHER = ROAD_CLASS**0.5
 """Largest factor between the changes of one axis and the changes of the other axes: half a road
 class. A rougher road shakes all axes."""
@@ -73,19 +70,13 @@ distribution)."""
 ALONE_SHARE = 0.001
 """Share of a signal's changes that must be jumps. Shocks and stones cause a smaller share of jumps.
 The same share of frames may come twice without a fault (`faults`)."""
-
-
-# against the file --------------------------------------------------------------------------------
 SEGMENT_ROWS = 15
 """Smallest number of samples in a segment."""
-LEAST_SHARE = 0.6
-"""Share of a segment's samples that must be present, and share that must be recorded in motion."""
 FEW_SEGMENTS = 4
 SHARE = 0.1
 """Largest difference between two correct drives in a share p, after the conversion arcsin(sqrt(p)).
 The scatter of a converted share does not depend on p. From p = 0 to p = 0.01, the converted share
 changes by 0.1."""
-OF_SHARE = "(arcsine of the root of the share)"
 
 
 def changes_of(drives: Sequence[DriveSignals], model: VehicleModel) -> dict[float, Left]:
@@ -105,7 +96,9 @@ def _of_triad(
     name: str, drive: DriveSignals, model: VehicleModel
 ) -> Iterator[tuple[str, tuple[Array, Array]]]:
     channel = drive.channels[name]
-    t, table = channel.t, _along_vehicle(channel.t, channel.values, model)
+    t, table = channel.t, channel.values @ mount_of(model).T
+    for start, R in mounts(model.mount)[1:]:
+        table[t >= start] = channel.values[t >= start] @ R.T
     good = channel.good()
     v = np.interp(t, drive.knots.t, np.abs(drive.knots.values))
     edges = np.searchsorted(t, np.arange(t[0], t[-1], SEGMENT_S))
@@ -123,14 +116,6 @@ def _of_triad(
     for i, axis in enumerate("xyz"):
         ratio = np.exp(1.5 * (logs[:, i] - logs.mean(axis=1)))  # of one to the two others
         yield f"changes of {name}_{axis} at {rate:g} Hz", (np.array(speeds), ratio)
-
-
-def _along_vehicle(t: Array, table: Array, model: VehicleModel) -> Array:
-    """Rotate vectors (N, 3) into the vehicle's axes."""
-    made = table.copy()
-    for start, R in mounts(model):
-        made[t >= start] = table[t >= start] @ R.T
-    return made
 
 
 def _sizes(t: Array, table: Array, good: Mask, period: float) -> Array:
@@ -269,17 +254,18 @@ class Trait:
     more: str
     less: str
     limit: float
-    unit: str = "in the logarithm"
-    of_speed: bool = False
-    """True if the number is also tested for speeds, whose changes depend on the driver."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the differences of this number."""
+        return "(arcsine of the root of the share)" if self.limit == SHARE else "in the logarithm"
 
 
 TRAITS = (
     Trait("repeats the previous sample more often", "repeats the previous sample less often",
-          SHARE, OF_SHARE, of_speed=True),
+          SHARE),
     Trait("continues along a straight line more often",
-          "continues along a straight line less often",
-          SHARE, OF_SHARE),
+          "continues along a straight line less often", SHARE),
     # rms over mean size: 1.25 for a normal distribution, 1.41 for a double exponential one.
     Trait("has more very large changes", "has fewer very large changes", 0.12),
     Trait("has more very large second differences",
@@ -327,10 +313,8 @@ def _of_signal(
     same = SAME * max(1.0, float(np.abs(x).max()))
 
     def mean(values: Array, there: Mask) -> Array:
-        own, number = (
-            place[: len(there)][there],
-            np.bincount(place[: len(there)][there], minlength=count),
-        )
+        own = place[: len(there)][there]
+        number = np.bincount(own, minlength=count)
         return np.asarray(np.bincount(own, values[there], count) / np.maximum(number, 1))
 
     one, two, four = np.diff(x), np.diff(x, 2), x[4:] - x[:-4]
@@ -392,8 +376,9 @@ def _on_the_files_grid(drives: Sequence[DriveSignals], stated: VehicleModel) -> 
 
 
 def _trait_row(signal: str, trait: Trait, on_grid: Collection[str]) -> FamilyRow | None:
-    is_inertial = signal.partition("_")[0] in INERTIAL
-    if not (is_inertial or trait.of_speed) or (trait.limit == SHARE and signal not in on_grid):
+    # The changes of a speed depend on the driver, but its repeats do not.
+    is_asked = signal.partition("_")[0] in INERTIAL or trait is TRAITS[0]
+    if not is_asked or (trait.limit == SHARE and signal not in on_grid):
         return None
     return FamilyRow(
         trait.limit,

@@ -19,7 +19,7 @@ from imucald.core.samples import GRAVITY, QUANTITIES
 from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.equations.motion import NONE, VehicleMotion
 from imucald.diagnosis.equations.reading import Reader
-from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
+from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Mask
 from imucald.drive.equations import slope
 from imucald.drive.single_track import SLOW_MPS
 
@@ -65,10 +65,7 @@ class Forward(Reader):
             motion.vertical(found)
             motion.turning(found)
         motion.vehicle(found)
-        return Residuals({k: motion.once(self._blocks, v) for k, v in found.items()}, tilt)
-
-    def _blocks(self, x: Array) -> Array:
-        return x.reshape(self.blocks, self.rows)
+        return Residuals({k: motion.once(self.in_blocks, v) for k, v in found.items()}, tilt)
 
     def settle(self, tilt: Array, inertial: Array) -> None:
         """Choose the signals for the columns. tilt: (B, 2) tilt z0 of each block. inertial: (B,)
@@ -88,7 +85,12 @@ class Forward(Reader):
         left = np.where(masks["accel_x"], _without(base, tilt)["accel_x"], 0.0)
         count = max(1, int(2.0 * self.rows * STEP_S * top_hz))
         power = (dct(left, type=2, axis=1, norm="ortho")[:, :count] ** 2).sum(axis=1) / self.rows
-        noise = _slope_noise(self.drive.knots, top_hz)
+        # Upper limit of the mean square slope of the speed's white noise: a second difference
+        # contains six times the noise variance. A spectrum of 2 s^2 T, times (2 pi f)^2, up to
+        # top_hz.
+        knots = self.drive.knots
+        white = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
+        noise = 2.0 * white * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0
         return np.asarray(np.clip(noise / np.maximum(power, 1e-30), 0.0, 1.0))
 
     def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
@@ -135,7 +137,7 @@ class Forward(Reader):
         motion = VehicleMotion(self, {}, False)
         x = motion.force[0] + motion.r * motion.v_y - motion.held(motion.slopes)
         y = motion.force[1] - motion.v * motion.r - slope(motion.v_y)
-        means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
+        means = [self.in_blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
         return np.column_stack(means)
 
     def usable(self) -> dict[str, Mask]:
@@ -207,12 +209,3 @@ def _without(found: Residuals, tilt: Array) -> dict[str, Array]:
     for name, (first, second) in found.tilt.items():
         made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
     return made
-
-
-def _slope_noise(knots: Channel, top_hz: float) -> float:
-    """Return an upper limit of the mean square slope of the speed that comes from white noise, up
-    to a frequency [m^2/s^4]. A second difference contains six times the noise variance, and also
-    the vehicle's jerk."""
-    power = float(np.mean(np.diff(knots.values, 2) ** 2)) / 6.0
-    # A spectrum of 2 s^2 T, times (2 pi f)^2, up to top_hz.
-    return 2.0 * power * knots.period_s * (2.0 * np.pi) ** 2 * top_hz**3 / 3.0

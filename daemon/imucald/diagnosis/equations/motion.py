@@ -171,11 +171,8 @@ class VehicleMotion:
         if f.drive.has("longitudinal_accel"):
             found["longitudinal_accel"] = self._felt("longitudinal_accel", 0)
 
-    def _in_blocks(self, x: Array) -> Array:
-        return x.reshape(self.f.blocks, self.f.rows)
-
     def _two(self, first: Array, second: Array) -> tuple[Array, Array]:
-        return self._in_blocks(first), self._in_blocks(second)
+        return self.f.in_blocks(first), self.f.in_blocks(second)
 
     def _apart(self, first: Array, second: Array) -> Array:
         return self.once(np.subtract, first, second)

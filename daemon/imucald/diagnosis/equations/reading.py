@@ -13,14 +13,15 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
+from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, sensor_of
 from imucald.diagnosis.signals import DriveSignals
 from imucald.drive.equations import Axes
 from imucald.model.model import VehicleModel
+from imucald.model.sensors import REFERENCE_DEGC
+from imucald.simulation.imu import mounts
 
 T = TypeVar("T")
 Known = dict[tuple[Any, ...], tuple[tuple[Any, ...], Any]]
-REFERENCE_DEGC = 25.0
 GAINS = ("accel.scale", "accel.cross_axis")
 Part = tuple[tuple[str, float], ...]
 """Changes, as pairs of key and value."""
@@ -85,6 +86,7 @@ class Reader:
     def __init__(self, drive: DriveSignals, model: VehicleModel, rows: int) -> None:
         self.drive, self.model = drive, model
         self.rows = rows
+        self.mounts = mounts(model.mount)
         self.blocks = len(drive.t) // rows
         spare = len(drive.t) - self.blocks * rows
         self.t = drive.t[spare // 2 : spare // 2 + self.blocks * rows]
@@ -101,6 +103,10 @@ class Reader:
         self._read.clear()
         self.known.clear()
         self.reference = None
+
+    def in_blocks(self, x: Array) -> Array:
+        """Return rows (N,) as blocks (B, n)."""
+        return x.reshape(self.blocks, self.rows)
 
     def amount_of_speed(self) -> Array:
         """Return the absolute value of the indicated speed (N,) [m/s]."""
@@ -176,7 +182,7 @@ class Reader:
             stated = np.linalg.inv(sensor_of(self.model, name, {}).gain)
             true += self._level(name) @ (stated - np.linalg.inv(sensor.gain)).T
         turn = rotation_from_vector(along_vehicle(changes, "mount.turn"))
-        return self._turned(true, [(start, (turn @ R).T) for start, R in mounts(self.model)])
+        return self._turned(true, [(start, (turn @ R).T) for start, R in self.mounts])
 
     def _turned(self, x: Array, turns: Sequence[tuple[float, Array]]) -> Array:
         """Multiply x (N, 3) by the matrix that is valid at each time. turns: pairs of a start time
@@ -195,7 +201,7 @@ class Reader:
     def _in_sensor(self, force: Array, later: float, name: str) -> Array:
         if later:
             force = np.column_stack([np.interp(self.t + later, self.t, x) for x in force.T])
-        turned = self._turned(force, mounts(self.model))
+        turned = self._turned(force, self.mounts)
         return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
 
     def _level(self, name: str) -> Array:

@@ -1,8 +1,7 @@
 """Compare segments of a drive with the segments from which a model file was made.
 
 For several kinds of numbers, a model file contains the median over the segments of its own drives
-and the scatter between segments. This module makes, writes and compares such entries for any kind
-of number. A `Family` has one `FamilyRow` for each of its numbers.
+and the scatter between segments. A `Family` is one kind; it has one `FamilyRow` for each number.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ segments count as one."""
 MEDIAN = float(np.sqrt(0.5 * np.pi))
 """Ratio of the standard deviation of the median to that of the mean, for normal variables."""
 LEAST_RMS = 1e-9
-INSIDE = (0.05, 0.95)
 Left = dict[str, tuple[Array, Array]]
 """By name: mean speed (B,) of each segment, and the numbers (B, 6) of each segment."""
 
@@ -112,7 +110,7 @@ def leaves_of(left: Left, segment_s: float, least: int = LEAST_SEGMENTS) -> dict
     made = {}
     for name, (v, rms) in left.items():
         if len(v) >= least:
-            low, high = np.quantile(v, INSIDE)
+            low, high = np.quantile(v, (0.05, 0.95))
             logs = np.log(np.maximum(rms, LEAST_RMS))
             middle, spread = np.exp(np.median(logs, axis=0)), logs.std(axis=0, ddof=1)
             speeds = (round(float(low), 2), round(float(high), 2))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import dct
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Index
 from imucald.diagnosis.cause_keys import model_error, plausible, tolerance
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import Forward
@@ -38,6 +38,8 @@ SLOW_BAND_HZ = 0.2
 SMOOTH = 7
 """Number of spectral coefficients over which the noise spectrum is averaged."""
 PASSES = 3
+MEDIAN_SQUARE = 0.455
+"""Median of the square of a normal variable with variance 1."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class Table:
     gram: Array
     by_equation: Mapping[str, Array]
     start_s: Array
-    drive: NDArrayInt
+    drive: Index
     moving: Array
     """Share (B,) of each block in motion."""
     tolerance: Array
@@ -117,7 +119,7 @@ class Table:
     levels: Array
     """Mean tilt (B, 2) of each block, forward and left: (force minus the part that motion explains)
     divided by g."""
-    number: NDArrayInt
+    number: Index
     """Index (B,) of each block among all blocks of the drives. The numbering of all blocks does not
     depend on the model."""
     columns: Mapping[str, Array] = field(default_factory=dict)
@@ -172,9 +174,6 @@ class Table:
         return {n: gram @ d @ d for n, gram in self.by_equation.items()}
 
 
-NDArrayInt = np.ndarray[tuple[int], np.dtype[np.int64]]
-
-
 @dataclass
 class Rows:
     """One equation of one drive, transformed: y (B, K), X (B, K, P), tilt (B, K, 2) or None.
@@ -193,38 +192,48 @@ class Rows:
 def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table, list[Forward]]:
     """Evaluate all drives with a model file. Returns the table and the evaluated drives."""
     total = sum(drive.duration_s for drive in drives)
-    seconds = BLOCK_S if total > FEW_S else SHORT_BLOCK_S
-    rows = round(seconds / STEP_S)
-    forwards = [Forward(drive, model, rows) for drive in drives]
-    keys = _keys(drives)
+    length = round((BLOCK_S if total > FEW_S else SHORT_BLOCK_S) / STEP_S)
+    forwards = [Forward(drive, model, length) for drive in drives]
+    keys = tuple(k for k, row in PARAMETERS.items() if all(drives[0].has(n) for n in row.needs))
     top = {name: min(_top_hz(drive, name) for drive in drives) for name in EQUATIONS}
-    parts = [rows_of(f, model, keys, top) for f in forwards]
-    merged = {name: joined([part[name] for part in parts]) for name in parts[0]}
-    blocks = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
+    by_drive = [rows_of(f, model, keys, top) for f in forwards]
+    parts = {name: joined([own[name] for own in by_drive]) for name in by_drive[0]}
+    drive = np.concatenate([np.full(f.blocks, i) for i, f in enumerate(forwards)])
     start = np.concatenate([f.t[:: f.rows][: f.blocks] for f in forwards])
-    moving = np.concatenate([_moving(f) for f in forwards])
-    for own in merged.values():
-        own.good &= moving >= MOVING_SHARE
+    speeds = [f.in_blocks(f.amount_of_speed()) for f in forwards]
+    moving = np.concatenate([(v > MOVING_MPS).mean(axis=1) for v in speeds])
+    for rows in parts.values():
+        rows.good &= moving >= MOVING_SHARE
     levels = np.concatenate([f.levels() for f in forwards])
     for f in forwards:
         f.forget()
-    return _weighed(merged, keys, model, blocks, start, moving, top, levels), forwards
-
-
-def _keys(drives: Sequence[DriveSignals]) -> tuple[str, ...]:
-    drive = drives[0]
-    return tuple(key for key, row in PARAMETERS.items() if all(drive.has(n) for n in row.needs))
+    bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
+    free = np.zeros(len(keys))
+    # Each equation is divided by its noise, from the residuals of a fit of all parameters.
+    for i in range(PASSES):
+        weights = weights_of(parts, free)
+        gram = {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}
+        whole = np.asarray(sum(gram.values()))
+        if i + 1 < PASSES:
+            total = whole.sum(axis=0)
+            # A fit with implausible values is not accepted, even if it reduces the noise.
+            free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
+    keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
+    table = Table(
+        keys, whole[keep], {n: g[keep] for n, g in gram.items()},
+        start[keep], drive[keep], moving[keep],
+        np.array([tolerance(model, key) for key in keys]),
+        np.array([model_error(model, key) for key in keys]), bounds, top,
+        length * STEP_S, {n: g[keep] for n, g in _plain(parts).items()},
+        levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
+    )  # fmt: skip
+    return table, forwards
 
 
 def _top_hz(drive: DriveSignals, equation: str) -> float:
     row = EQUATIONS[equation]
     periods = [drive.channels[n].period_s for n in row.takes if drive.has(n)]
     return min([row.top_hz, *(CARRIED / p for p in periods)])
-
-
-def _moving(f: Forward) -> Array:
-    v = f.amount_of_speed()
-    return np.asarray((v.reshape(f.blocks, f.rows) > MOVING_MPS).mean(axis=1))
 
 
 def rows_of(
@@ -282,33 +291,6 @@ def joined(parts: Sequence[Rows]) -> Rows:
 # weights -----------------------------------------------------------------------------------------
 
 
-def _weighed(
-    parts: Mapping[str, Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
-    start: Array, moving: Array, top: Mapping[str, float], levels: Array,
-) -> Table:  # fmt: skip
-    """Divide each equation by its noise. The noise is computed from the residuals of a fit of all
-    parameters."""
-    tolerances = np.array([tolerance(model, key) for key in keys])
-    errors = np.array([model_error(model, key) for key in keys])
-    bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
-    free = np.zeros(len(keys))
-    for i in range(PASSES):
-        weights = weights_of(parts, free)
-        gram = _gram(parts, weights)
-        whole = np.asarray(sum(gram.values()))
-        if i + 1 < PASSES:
-            total = whole.sum(axis=0)
-            # A fit with implausible values is not accepted, even if it reduces the noise.
-            free = box_fit(total[1:, 1:], total[1:, 0], bounds[:, 0], bounds[:, 1])
-    keep = np.any([(w > 0.0).any(axis=1) for w in weights.values()], axis=0)
-    return Table(
-        keys, whole[keep], {n: g[keep] for n, g in gram.items()},
-        start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
-        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
-        levels[keep], np.flatnonzero(keep), {n: rows.X for n, rows in parts.items()},
-    )  # fmt: skip
-
-
 def tilts_of(
     parts: Mapping[str, Rows], weights: Mapping[str, Array] | None = None
 ) -> dict[str, Array]:
@@ -348,14 +330,13 @@ def noise_weights(left: Array, good: Mask) -> Array:
     Noisy blocks get less weight."""
     if not good.any():
         return np.zeros_like(left)
-    power = np.median(left[good] ** 2, axis=0) / 0.455
-    # The median of a squared normal variable is 0.455 of its mean.
-    pad = np.pad(power, SMOOTH // 2, mode="edge") if len(power) > SMOOTH else power
-    smooth = np.convolve(pad, np.ones(SMOOTH) / SMOOTH, "valid") if len(power) > SMOOTH else power
+    smooth = np.median(left[good] ** 2, axis=0) / MEDIAN_SQUARE
+    if len(smooth) > SMOOTH:
+        smooth = np.pad(smooth, SMOOTH // 2, mode="edge")
+        smooth = np.convolve(smooth, np.ones(SMOOTH) / SMOOTH, "valid")
     smooth = np.maximum(smooth, 1e-12 + 1e-6 * smooth.max())
     white = left / np.sqrt(smooth)
-    loud = np.sqrt(np.mean(white**2, axis=1))
-    loud = np.maximum(loud, 1.0)
+    loud = np.maximum(np.sqrt(np.mean(white**2, axis=1)), 1.0)
     made: Array = good[:, None] / (np.sqrt(smooth) * loud[:, None])
     return made
 
@@ -386,8 +367,3 @@ def _plain(parts: Mapping[str, Rows]) -> dict[str, Array]:
         halves = [np.swapaxes(b, 1, 2) @ b for b in (a[:, :cut], a[:, cut:])]
         made[n] = np.stack(halves, axis=1) / (parts[n].seconds / STEP_S)
     return made
-
-
-def _gram(parts: Mapping[str, Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
-    """Return Gram matrices (B, P+1, P+1) by equation."""
-    return {n: np.swapaxes(a, 1, 2) @ a for n, a in weighted(parts, weights).items()}

@@ -7,11 +7,7 @@ import numpy as np
 from imucald.core.arrays import Array
 from imucald.diagnosis.signals import Mask
 
-RIDGE, TINY = 1e-9, 1e-9
-STEPS = 20
-"""Largest number of changes of the active set for each parameter."""
-CLOSE = 1e-9
-"""Size of a slope up to which the slope counts as zero."""
+RIDGE = 1e-9
 
 
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:
@@ -22,13 +18,13 @@ def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = N
     """
     scale = 0.5 * (high - low)
     H = H * np.outer(scale, scale)
-    H = H + np.diag(RIDGE * np.diag(H) + TINY)
+    H = H + np.diag(RIDGE * np.diag(H) + RIDGE)
     c, low, high = c * scale, low / scale, high / scale
     x = np.clip(np.zeros(len(c)) if start is None else start / scale, low, high)
     slope = H @ x - c
     held = ((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(STEPS * len(c)):
+        for _ in range(20 * len(c)):
             step = _newton_step(H, H @ x - c, held)
             room = np.where(step > 0.0, high - x, low - x) / step
             room[step == 0.0] = np.inf
@@ -42,7 +38,7 @@ def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = N
             slope = H @ x - c
             pull = np.where(x >= high, slope, -slope) * held
             worst = int(pull.argmax())
-            if pull[worst] <= CLOSE * (1.0 + abs(c[worst])):
+            if pull[worst] <= 1e-9 * (1.0 + abs(c[worst])):
                 break
             held[worst] = False
     return np.asarray(x * scale)
@@ -52,12 +48,9 @@ def _newton_step(H: Array, slope: Array, held: Mask) -> Array:
     step = np.zeros(len(slope))
     free = (~held).nonzero()[0]
     if len(free):
-        step[free] = -_solved(H[free[:, None], free], slope[free])
+        part = H[free[:, None], free]
+        try:
+            step[free] = -np.linalg.solve(part, slope[free])
+        except np.linalg.LinAlgError:
+            step[free] = -np.linalg.lstsq(part, slope[free], rcond=None)[0]
     return step
-
-
-def _solved(A: Array, b: Array) -> Array:
-    try:
-        return np.asarray(np.linalg.solve(A, b))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(A, b, rcond=None)[0])

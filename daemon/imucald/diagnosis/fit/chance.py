@@ -77,11 +77,11 @@ class Row:
         return [replace(a, kind=a.kind or self.kind) for a in self.statistic(evidence)]
 
 
-def chance_of_large(limit: float, se: float, free: float, beside: float = 1.0) -> float:
-    """Return the chance that a value exceeds a limit by `beside` standard deviations in either
-    direction, if nothing is wrong. se: standard deviation of the value. free: degrees of freedom of
-    this standard deviation."""
-    return float(2.0 * student.sf(limit / max(se, 1e-300) + beside, max(free, 1.0)))
+def chance_of_large(limit: float, se: float, free: float) -> float:
+    """Return the chance that a value exceeds a limit by one standard deviation in either direction,
+    if nothing is wrong. se: standard deviation of the value. free: degrees of freedom of this
+    standard deviation."""
+    return float(2.0 * student.sf(limit / max(se, 1e-300) + 1.0, max(free, 1.0)))
 
 
 def chance_of_both(by_parts: float, free: float, by_rows: float) -> float:

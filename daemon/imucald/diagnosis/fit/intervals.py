@@ -3,7 +3,6 @@ cause."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.stats import t as student
 
 from imucald.core.arrays import Array
 from imucald.diagnosis.fit.box import RIDGE
-from imucald.diagnosis.fit.score import Hypothesis, Problem
+from imucald.diagnosis.fit.score import Hypothesis, Problem, explained
 from imucald.diagnosis.signals import CHANCE
 
 
@@ -67,13 +66,11 @@ def estimate(
     more = problem.model_error(h) ** 2
     se = np.sqrt(variance + excess + more)
     wander = np.sqrt(QUARTERS * excess)
-    pull = _pull(problem, h, x, own, more, null or problem)
+    pull = _pull(problem, h, more, null or problem)
     return Estimate(x[own], se, quantile(len(gram), questions), pull, wander)
 
 
-def _pull(
-    problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array, null_of: Problem
-) -> float:
+def _pull(problem: Problem, h: Hypothesis, more: Array, null: Problem) -> float:
     """Return the distance of the parameters from the box, by a profile likelihood. The other
     parameters stay in their box, so that none exceeds its tolerance.
 
@@ -81,16 +78,12 @@ def _pull(
     by model-based variance). more: (k,) variances of the errors of the equations; they are added.
     """
     gram, low, high = problem.widened(h)
-    total = gram.sum(axis=0)
-    H, c = total[1:, 1:], total[1:, 0]
-    base = problem.table.gram.sum(axis=0)
-    null = null_of.fit()
-    rise = (c @ x - 0.5 * x @ H @ x) - (base[1:, 0] @ null - 0.5 * null @ base[1:, 1:] @ null)
-    width = high - low
-    inside = np.flatnonzero((x > low + 1e-6 * width) & (x < high - 1e-6 * width))
-    inside = np.union1d(inside, own)
-    at = [int(np.flatnonzero(inside == i)[0]) for i in own]
-    part = H[np.ix_(inside, inside)]
+    x, own, width = problem.fit(h), problem.own(h), high - low
+    rise = explained(gram, x) - explained(problem.table.gram, null.fit())
+    free = np.flatnonzero((x > low + 1e-6 * width) & (x < high - 1e-6 * width))
+    inside = np.union1d(free, own)
+    at = np.searchsorted(inside, own)
+    part = gram.sum(axis=0)[1:, 1:][np.ix_(inside, inside)]
     inverse = np.linalg.pinv(part + ridge(part))
     score = (gram[:, 1:, 0] - gram[:, 1:, 1:] @ x)[:, inside]
     model = np.maximum(np.diag(inverse)[at], 1e-300)

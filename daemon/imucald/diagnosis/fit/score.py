@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Index
 from imucald.diagnosis.causes import family
-from imucald.diagnosis.fit.blocks import NDArrayInt, Table
+from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.box import box_fit
 from imucald.diagnosis.signals import Mask
 
@@ -24,7 +24,6 @@ FOLDS = 8
 REACH = 3.0
 """Multiple of the plausible limit up to which a freed parameter is fitted. A parameter beyond the
 plausible limit is reported as implausible."""
-SILENT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ class Problem:
             # The direction replaces the related parameters in the box.
             kin = {n for d in h.directions for n in d if family(n) == family(h.keys[0])}
             index = self.table.index(sorted(kin))
-            silent = SILENT * (high - low)[index]
+            silent = 1e-6 * (high - low)[index]
             low[index], high[index] = -silent, silent
         m = np.ones(len(gram)) if h.pattern is None else h.pattern
         cross = (gram @ D) * m[:, None, None]
@@ -186,6 +185,12 @@ def losses(gram: Array, x: Array) -> Array:
     return np.asarray(0.5 * np.sum((gram @ z[:, :, None])[:, :, 0] * z, axis=1))
 
 
+def explained(gram: Array, x: Array) -> float:
+    """Return the nats by which parameters x (Q,) reduce the loss of all blocks (B, Q+1, Q+1)."""
+    total = gram.sum(axis=0)
+    return float(total[1:, 0] @ x - 0.5 * x @ total[1:, 1:] @ x)
+
+
 def fitted(gram: Array, low: Array, high: Array) -> Array:
     """Return the parameters (Q,) that fit the blocks (B, Q+1, Q+1) within bounds."""
     total = gram.sum(axis=0)
@@ -220,7 +225,7 @@ def without_best(gain: Array) -> float:
     return float(np.sort(gain)[: len(gain) - one_in_fifteen(len(gain))].sum())
 
 
-def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> tuple[float, float]:
+def paired(first: Array, second: Array, own: Index, other: Index) -> tuple[float, float]:
     """Return the difference of two losses (B,) and (C,), summed over blocks, and its standard
     error.
 
@@ -231,5 +236,9 @@ def paired(first: Array, second: Array, own: NDArrayInt, other: NDArrayInt) -> t
     if not np.array_equal(own, other):
         _, one, two = np.intersect1d(own, other, assume_unique=True, return_indices=True)
         first, second = first[one], second[two]
-    d = first - second
-    return float(d.sum()), float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
+    return sum_and_se(first - second)
+
+
+def sum_and_se(x: Array) -> tuple[float, float]:
+    """Return the sum over blocks of x (B,), and the standard error of this sum."""
+    return float(x.sum()), float(np.sqrt(len(x)) * np.std(x, ddof=1)) if len(x) > 1 else np.inf

@@ -11,16 +11,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.stats import gamma
 
-from imucald.core.arrays import Array
-from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
+from imucald.core.arrays import Array, Index
+from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.equations.forward import UNITS, Forward
-from imucald.diagnosis.fit.blocks import CARRIED, EQUATIONS, NDArrayInt, late_signals
+from imucald.diagnosis.fit.blocks import CARRIED, EQUATIONS, MEDIAN_SQUARE, late_signals
 from imucald.diagnosis.fit.chance import Answer
 from imucald.diagnosis.fit.score import losses, one_in_fifteen
 from imucald.diagnosis.left_over.remains import DRIVEN, LEAST_SEGMENTS, Remains, Spectra
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.signals import CHANCE, DRIVING_MPS, STEP_S, Mask
+from imucald.model.sensors import BUTTERWORTH_S_HZ
 
 OPPOSITE = 0.4
 """Negative correlation of a signal with its prediction above which a sign is wrong."""
@@ -29,8 +30,6 @@ HANN_BINS = 1.5
 """Number of neighbouring frequency bins that count as one: noise bandwidth of a Hann window (Harris
 1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
-PAIR = "accel_y", "yaw_rate"
-"""Equations without a common sensor, if gyroscope and yaw rate are both present."""
 AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
 """Lateral acceleration from the air, per square of the speed and per angle of attack [1/m]: half
 the density, 2.2 m^2, 2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road
@@ -40,15 +39,10 @@ CALM, GUSTY = 0.02, 0.10
 Saunders, On-road Turbulence, SAE 2008-01-0475)."""
 EDDY_M = 10.0
 """Length scale of the lateral turbulence [m] (same source)."""
-FAST_MPS = 30.0
-MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
+MOST_LEFT_MPS2 = GUSTY * AIR * 30.0**2
 """Limit of the lateral residual after a fit of all parameters within their tolerances [m/s^2]: the
 effect of gusty air on a car on a motorway, 0.18 m/s^2. The accelerometer's own noise is added to
 this limit."""
-FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
-"""Product of delay and cut-off frequency of a first-order low-pass filter, for frequencies well
-below the cut-off."""
-OCTAVE = 2.0
 BAND_HZ = 0.25, 4.5
 """Range of tested frequencies [Hz]. Lower frequencies are absorbed by the tilt of a segment. The
 upper limit is below half of the grid's rate."""
@@ -110,9 +104,8 @@ def _noise(state: State, top_hz: float) -> float:
     for drive in state.drives:
         accel = drive.channels["accel"]
         steps = np.diff(accel.values @ across)
-        # The median of a squared normal variable is 0.455 of its mean; a difference contains the
-        # noise twice.
-        power = float(np.median(steps**2)) / 0.455 / 2.0
+        # A difference contains the noise twice.
+        power = float(np.median(steps**2)) / MEDIAN_SQUARE / 2.0
         found.append(np.sqrt(power * min(2.0 * top_hz * accel.period_s, 1.0)))
     return float(max(found))
 
@@ -139,7 +132,7 @@ def shared(left: Remains) -> Iterator[Answer]:
     v = np.concatenate([f.drive.knots.values for f in forwards])
     calm, fast = _calm(v), float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 2)))
     hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
-    first, second = PAIR
+    first, second = "accel_y", "yaw_rate"
     if not {first, second, "_steering"} <= set(spectra):
         return
     known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)
@@ -209,7 +202,7 @@ def cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     made = []
     for key, x in changes.items():
         if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
-            band = FIRST_ORDER_S_HZ / abs(x) / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / abs(x)
+            band = 0.5 / (2.0 * np.pi * abs(x)), 2.0 * BUTTERWORTH_S_HZ / abs(x)
             made += [(signal, *band) for signal in late_signals(key, x)]
     return made
 
@@ -236,7 +229,12 @@ def lines(left: Remains) -> Iterator[Answer]:
             continue
         z = left_of_known(z[good], known[good])
         hz = np.arange(z.shape[1]) / (2.0 * (z.shape[1] - 1) * STEP_S)
-        asked = (hz >= BAND_HZ[0]) & (hz <= _to_hz(name, left.state))
+        to_hz = BAND_HZ[1]
+        if "speed" in equation.takes:
+            # The slope of the speed shows no more than the sample rate of the speed allows.
+            periods = (d.channels["speed"].period_s for d in left.state.drives)
+            to_hz = min(to_hz, *(CARRIED / period for period in periods))
+        asked = (hz >= BAND_HZ[0]) & (hz <= to_hz)
         for s, low, high in cut_offs(left.state.changes):
             if s in equation.takes:
                 asked &= (hz < low) | (hz > high)
@@ -244,15 +242,7 @@ def lines(left: Remains) -> Iterator[Answer]:
             yield _of_line(name, z, hz, np.flatnonzero(asked), PARAMETERS[equation.zero].tolerance)
 
 
-def _to_hz(name: str, state: State) -> float:
-    """Return the upper frequency for an equation [Hz]. For the equation with the slope of the
-    speed, the sample rate of the speed limits this frequency."""
-    if "speed" not in EQUATIONS[name].takes:
-        return BAND_HZ[1]
-    return min(BAND_HZ[1], *(CARRIED / d.channels["speed"].period_s for d in state.drives))
-
-
-def _of_line(name: str, z: Spectra, hz: Array, asked: NDArrayInt, tau: float) -> Answer:
+def _of_line(name: str, z: Spectra, hz: Array, asked: Index, tau: float) -> Answer:
     """Return the answer about the strongest line of an equation. z: (B, F) spectra of segments.
     asked: indices of the tested frequencies. tau: smallest amplitude of a line."""
     # One segment in fifteen must not decide.

@@ -1,11 +1,10 @@
 """Find zero errors, gains and delays that change from segment to segment of a drive.
 
-A parameter of the model file is one number for the whole drive. Each segment alone gives an
-estimate of this number. If the estimates differ by more than their errors and the tolerances of a
-correct model file, there is an effect that no parameter describes. Each row of `COURSES` tests one
-pattern of differences: a linear map of the segments' scores, and the size of its result. The chance
-of each result is computed from permutations of the same segments. Every zero error and gain is
-tested, even if its value for the whole drive is correct.
+Each segment alone gives an estimate of a parameter. If the estimates differ by more than their
+errors and the tolerances of a correct model file, there is an effect that no parameter describes.
+Each row of `COURSES` tests one pattern of differences: a linear map of the segments' scores, and
+the size of its result. The chance of each result is computed from permutations of the same
+segments.
 """
 
 from __future__ import annotations
@@ -40,20 +39,12 @@ LAGS = (1, 2, 3)
 The duration of an effect is not known, so each number is tested."""
 LEAST_SIDE = 3
 """Smallest number of segments before and after a tested moment."""
-ORDERS, KEPT = 1000, 100
-"""Number of permutations of the segments at each level, and number of permutations that must reach
-the next level."""
-MOST_LEVELS = 8
-"""Largest number of levels. With this number, chances down to 1e-8 can be computed, which is less
-than any family of questions needs."""
-EVENLY = 3.0**-0.5
-"""Ratio of the standard deviation of a uniform distribution within a tolerance to this
-tolerance."""
-EITHER_SIDE = 2.0
-"""Width of the allowed range of a correct model file, as a multiple of the tolerance."""
-OWN = 3
-"""Number of values fitted to each segment, which reduce its noise: two tilts and the value
-itself."""
+ORDERS, KEPT, MOST_LEVELS = 1000, 100, 8
+"""Number of permutations of the segments at each level, number of permutations that must reach the
+next level, and largest number of levels. Chances down to 1e-8 can then be computed."""
+EVENLY, EITHER_SIDE = 3.0**-0.5, 2.0
+"""Change that a correct model file may cause, in tolerances: the standard deviation of values
+within a tolerance, and the distance between the ends of a tolerance."""
 
 
 @dataclass(frozen=True)
@@ -70,16 +61,17 @@ class Scores:
 
 @dataclass(frozen=True)
 class Course:
-    """One pattern of change, for one parameter."""
+    """One pattern of change, for one parameter.
+
+    image: linear map (B, F) of the scores. size_of: function from results (N, F) to sizes (N,); the
+    largest size is the least probable. value: amount of the change, in the unit of the parameter.
+    rare: function that returns the chance that noise causes an amount beyond a limit.
+    """
 
     image: Array
-    """Linear map (B, F) of the scores."""
     size_of: Callable[[Array], Array]
-    """Function from results (N, F) to sizes (N,). The largest size is the least probable."""
     value: float
-    """Amount of the change, in the unit of the parameter."""
     rare: Callable[[float], float]
-    """Function that returns the chance that noise causes an amount beyond a limit."""
     text: str
 
 
@@ -116,9 +108,6 @@ def _answer(
     return Answer(first_signal(table, [key]), size, least, p, text, key, rare=min(rare, 1.0))
 
 
-# rows --------------------------------------------------------------------------------------------
-
-
 def _near(x: Scores, lag: int) -> Course:
     """Test whether neighbouring segments have a common difference from the whole drive.
 
@@ -151,27 +140,22 @@ def _step(x: Scores) -> Course | None:
     image, info = by[:, there] / np.sqrt(info[there]), info[there]
     z = np.abs(x.s @ image)
     best = int(z.argmax())
+    segment, table = LEAST_SIDE + int(there[best]), x.table
+    moment = f"{table.start_s[segment]:.0f} s"
+    if table.drive.any():
+        moment += f" of drive {int(table.drive[segment]) + 1}"
     noise = np.sqrt(max(float(x.s @ x.s) / B, 1e-300)) * np.linalg.norm(image, axis=0)
     return Course(
         image, lambda z: np.asarray(np.abs(z).max(axis=1)), float(z[best] / np.sqrt(info[best])),
         lambda limit: float(2.0 * norm.sf(limit * np.sqrt(info) / noise).sum()),
-        f"differs by {{}} from {_moment(x.table, LEAST_SIDE + int(there[best]))} on",
+        f"differs by {{}} from {moment} on",
     )  # fmt: skip
-
-
-def _moment(table: Table, segment: int) -> str:
-    """Return the start of a segment in words. With several drives, the text also names the
-    drive."""
-    at, drive = f"{table.start_s[segment]:.0f} s", int(table.drive[segment])
-    return at if not table.drive.any() else f"{at} of drive {drive + 1}"
 
 
 COURSES: tuple[tuple[Callable[[Scores], Course | None], float], ...] = (
     *((partial(_near, lag=lag), EVENLY) for lag in LAGS), (_step, EITHER_SIDE),
 )  # fmt: skip
-"""Each pattern with the number of tolerances that a correct model file may cause. For a random
-change this is the standard deviation of values within the tolerance, for a step the distance
-between the ends of the tolerance."""
+"""Each pattern with the number of tolerances that a correct model file may cause."""
 
 
 def _shared(s: Array, lag: int) -> Array:
@@ -215,9 +199,6 @@ def _share_of_orders(s: Array, image: Array, size_of: Callable[[Array], Array]) 
     return share * float((1 + np.sum(size >= got)) / (ORDERS + 1))
 
 
-# random effects ----------------------------------------------------------------------------------
-
-
 def gains_apart(left: Remains) -> Iterator[Answer]:
     """Yield answers about gains whose values in single segments differ by more than their own
     errors, in any order (random effects). Zero errors are not tested, because the zero error of a
@@ -251,7 +232,8 @@ def _own_values(table: Table, along: Mapping[str, float], z: Array) -> tuple[Arr
         power = power - np.divide(s**2, h, out=np.zeros_like(h), where=h > 0.0)
         count = int(2.0 * table.seconds * table.top_hz[name])
         score, information = score + s, information + h
-        spread = spread + h * np.maximum(power, 0.0) / max(count - OWN, 1)
+        # Two tilts and the value itself are fitted to each segment, which reduces its noise.
+        spread = spread + h * np.maximum(power, 0.0) / max(count - 3, 1)
     there = (information > 0.0) & (spread > 0.0)
     x = score[there] / information[there]
     return x, spread[there] / information[there] ** 2

@@ -2,10 +2,9 @@
 the drives of the model file.
 
 For each equation and frequency band, a model file may contain the median residual over the segments
-of its drives, with all parameters fitted in their box, and the scatter between segments. Roads also
-differ: from one class of ISO 8608 to the next, the rms doubles. If the median residual of a later
-drive is larger than scatter and roads allow, the drive contains an effect that the model file does
-not contain. No particular shape of the residual is assumed.
+of its drives and the scatter between segments. Roads also differ: from one class of ISO 8608 to the
+next, the rms doubles. If a later drive leaves more than scatter and roads allow, it contains an
+effect that the model file does not contain.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ from imucald.model.leaves import BANDS_HZ, Leaves
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations whose residuals contain no effect of the road or the springs if gravity is integrated
 with a gyroscope."""
-CARRIED_BY = "gyro_x"
 LEAST_BLOCKS = 4
 """Smallest number of blocks: with fewer blocks, the median and the one block that must not decide
 cannot be separated."""
@@ -47,10 +45,6 @@ OF_MEDIAN = 2.0 / np.pi
 """Ratio of the variance of the mean to the variance of the median, for normal variables."""
 SHARES = {15: "one segment in fifteen has", 4: "one segment in four has",
           2: "half of the segments have"}  # fmt: skip
-FAR = 6.0
-LASTING = np.linspace(-FAR, FAR, 121)
-"""Possible common differences between all segments and the model file, in standard deviations."""
-WEIGHT = np.exp(-0.5 * LASTING**2) / np.exp(-0.5 * LASTING**2).sum()
 
 
 def _row(name: str, band: int) -> FamilyRow:
@@ -89,7 +83,7 @@ def uneven(left: Remains) -> Iterator[Answer]:
     tolerances. A single segment in fifteen must not decide the result.
     """
     table, z = left.table, left.z
-    if CARRIED_BY not in table.plain:
+    if "gyro_x" not in table.plain:
         return  # the residuals contain each segment's road slope
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
@@ -168,5 +162,7 @@ def _chance(x: float, k: int, n: int, spread: float, lasting: float, known: floa
     """Return the chance that the k-th largest of n values is x or more. Single segments scatter
     with the spread that the model file states (Student's t distribution). All segments together
     scatter by the uncertainty of both medians."""
-    each = stdtr(known, (lasting * LASTING - x) / max(spread, 1e-9))
-    return float(WEIGHT @ betainc(k, n - k + 1, each) + ndtr(-FAR))
+    common = np.linspace(-6.0, 6.0, 121)  # standard deviations
+    weight = np.exp(-0.5 * common**2)
+    each = stdtr(known, (lasting * common - x) / max(spread, 1e-9))
+    return float(weight / weight.sum() @ betainc(k, n - k + 1, each) + ndtr(common[0]))

@@ -1,11 +1,10 @@
 """Find a speed signal that oscillates once or twice per wheel turn.
 
-Order analysis (Fyfe and Munck, Analysis of computed order tracking, 1997): an effect of the wheel
-is periodic in distance, not in time. Between two samples a wheel may turn several times, and
-aliasing then moves the oscillation to any frequency. The waves are therefore evaluated at the
-positions of the samples. The distance is integrated from the speed. The integrated distance is
-accurate enough to keep the phase of a wave within a segment. Between segments, the phase is free. A
-road may be periodic with 4 m and more (concrete slabs), so such wavelengths are not tested.
+An effect of the wheel is periodic in distance, not in time (order analysis; Fyfe and Munck 1997).
+Between two samples a wheel may turn several times, and aliasing then moves the oscillation to any
+frequency. The waves are therefore evaluated at the positions of the samples, from the integrated
+speed. Between segments, the phase is free. A road may be periodic with 4 m and more (concrete
+slabs), so such wavelengths are not tested.
 """
 
 from __future__ import annotations
@@ -34,11 +33,6 @@ DRIVING_MPS = 3.0
 LEAST_KNOTS = 20
 SLOW_TERMS = 6
 """Number of polynomials that absorb drifts within a segment: up to about 0.1 Hz in 30 s."""
-FREE = 4.0
-"""Smallest number of knots of a segment for every two removed columns."""
-FINE = 2.0
-"""Ratio of the number of tested waves to the number of waves that the length of a segment
-resolves."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,8 @@ def orders(left: Remains) -> Iterator[Answer]:
     longest = max(float(s.way[-1] - s.way[0]) for s in some)
     low, high = 1.0 / ROUND_M[1], 1.0 / ROUND_M[0]
     for k in ONCE:
-        count = int(FINE * k * (high - low) * longest) + 1
+        # Twice as many waves as the length of a segment resolves.
+        count = int(2.0 * k * (high - low) * longest) + 1
         yield _answer(some, np.linspace(k * low, k * high, count), k)
 
 
@@ -126,11 +121,11 @@ def _stretches(drive: DriveResiduals) -> Iterator[Stretch]:
     longest: dict[int, tuple[int, int]] = {}
     for first, last in pairwise(edges.tolist()):
         b = int(block[first])
-        if b >= 0 and last - first > _length(longest.get(b, (0, 0))):
+        if b >= 0 and last - first > np.ptp(longest.get(b, (0, 0))):
             longest[b] = first, last
     for first, last in longest.values():
         q = SLOW_TERMS + len(tilt)
-        if last - first + 1 < max(LEAST_KNOTS, FREE * q / 2.0):
+        if last - first + 1 < max(LEAST_KNOTS, 2.0 * q):
             continue
         part = slice(first, last)
         sums = [_summed(x[row[part]] * dt[part]) for x in (left, *tilt)]
@@ -144,10 +139,6 @@ def _stretches(drive: DriveResiduals) -> Iterator[Stretch]:
         smooth = v[first : last + 1] - y
         way = _summed(0.5 * (smooth[1:] + smooth[:-1]) * dt[part])
         yield Stretch(way, smooth, y, known)
-
-
-def _length(span: tuple[int, int]) -> int:
-    return span[1] - span[0]
 
 
 def _summed(x: Array) -> Array:

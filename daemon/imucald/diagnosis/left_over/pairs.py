@@ -1,12 +1,9 @@
 """Test every pair of signals for an error of one signal that depends on the other signal.
 
-A parameter of the model file is one number, and a cause of the catalogue is linear in the signals.
-However, a sensor's error may also depend on the speed, on the direction of turning, or on hard
-driving shortly before. A zero error that depends on another signal is an even or nonlinear function
-of this signal. A gain or a delay that depends on another signal is a product of two signals
-(Volterra terms of second order; as a test of a linear model: Ramsey 1969; Lee, White and Granger
-1993). The zero error, gain and delay of every sensor are tested with every condition, by the
-physics of the equations.
+A sensor's error may depend on the speed, on the direction of turning, or on hard driving shortly
+before. A zero error that depends on another signal is an even or nonlinear function of this signal.
+A gain or a delay that depends on another signal is a product of two signals (Volterra terms of
+second order; as a test of a linear model: Ramsey 1969; Lee, White and Granger 1993).
 """
 
 from __future__ import annotations
@@ -34,8 +31,6 @@ from imucald.diagnosis.signals import STANDING_MPS, STEP_S, Channel, Mask
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
-SMOOTH_S = 1.0
-"""Averaging time of turning and acceleration [s]. Manoeuvres last longer than this."""
 CRAWL_MPS = 3.0
 SHAKEN_S = (3.0, 10.0)
 """Averaging times of the vibration [s]. The longest is the time whose effects the tilt of a segment
@@ -65,16 +60,13 @@ share, the column's value depends on the errors of the catalogue's columns (a va
 factor of ten; Marquardt 1970)."""
 HALF_KMH = 0.5 / 3.6
 """Error of a speed in whole km/h, as in SAE J1979 [m/s]."""
-BEND_MPS = 10.0
 OWN: Mapping[str, tuple[tuple[str, ...], str, float]] = {
     "accel.bias.x": (EITHER_WAY, "accel.scale.0", STOPPING_MPS2),
     "accel.bias.y": (TO_ONE_SIDE, "accel.scale.1", STOPPING_MPS2),
-    "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / BEND_MPS),
+    "gyro.bias.z": (TO_ONE_SIDE, "gyro.scale.2", STOPPING_MPS2 / 10.0),
 }
 """Zero errors whose condition is the sign of the signal itself. A gain error has the same effect at
 large values."""
-PRIOR = 3.0
-"""Information of a uniform distribution within a half width, times the square of the half width."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +131,8 @@ def pairs(left: Remains) -> Iterator[Answer]:
     parts = rows_with(forwards, model, table, lambda f: _added(f, model, asked, next(each)))
     x = np.tile(left.problem.fit(), (blocks, 1))  # differences that fit each segment
     x[table.number] = -left.z[:, 1:]
-    prior = np.diag(PRIOR / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
+    # Information of a uniform distribution within a half width.
+    prior = np.diag(3.0 / np.maximum(np.abs(table.plausible).max(axis=1), 1e-12) ** 2)
     yield from _answers(asked, *_scores(parts, x, prior), model)
 
 
@@ -380,7 +373,7 @@ def _accelerating(f: Forward) -> Array:
 
 
 def _smooth(x: Array) -> Array:
-    n = round(SMOOTH_S / STEP_S)
+    n = round(1.0 / STEP_S)  # manoeuvres last longer than a second
     return np.asarray(np.convolve(x, np.ones(n) / n, "same"))
 
 

@@ -43,7 +43,7 @@ class DriveResiduals(NamedTuple):
 def residuals_of(f: Forward, changes: Changes) -> DriveResiduals:
     """Return the residuals of a drive with a changed model file."""
     found, masks = f.residuals(changes), f.usable()
-    speed = f.amount_of_speed().reshape(f.blocks, f.rows)
+    speed = f.in_blocks(f.amount_of_speed())
     return DriveResiduals(f, speed, found, f.level(found, masks), masks)
 
 
@@ -109,9 +109,9 @@ class Remains:
         for f, v, _, left, masks in self.drives:
             rows = {name: (y, masks[name]) for name, y in left.items()}
             # The product is used under two masks, because a segment may lack one of the equations.
-            sideways = v * f.yaw_rate().reshape(v.shape) if f.has_turning else v
+            sideways = v * f.in_blocks(f.yaw_rate()) if f.has_turning else v
             if "yaw_rate" in left:
-                steering = f.scalar("steering", {}).reshape(v.shape)
+                steering = f.in_blocks(f.scalar("steering", {}))
                 rows["_turning"] = sideways, masks["yaw_rate"]
                 rows["_steering"] = steering, masks["yaw_rate"]
             if f.has_turning and "accel_x" in left:

@@ -55,23 +55,6 @@ def _of_each(
     )
 
 
-def _following(raw: RawValues) -> Iterator[Answer]:
-    drives, model = raw
-    return follows(*raw).answers(traits_of(drives), model) if model.leaves else iter(())
-
-
-def _beside_stated(left: Remains) -> Iterator[Answer]:
-    stated = left.state.stated
-    return LEAVES.answers(left.by_band, stated) if stated.leaves else iter(())
-
-
-def _changing(left: Remains) -> Iterator[Answer]:
-    state = left.state
-    if not state.stated.leaves:
-        return iter(())
-    return CHANGES.answers(changes_of(state.drives, state.model), state.stated)
-
-
 ODD = (
     Row(Kind.COARSER, "Are the values further apart than in the drives of the model file?",
         _of_each(coarser)),
@@ -85,7 +68,8 @@ ODD = (
     Row(Kind.JUMPS_ALONE, "Do single values jump?", _of_each(jumps_alone)),
     Row(Kind.FOLLOWS_OTHERWISE,
         "Do samples follow each other in another way than in the drives of the model file?",
-        _following),
+        lambda raw: raw.model.leaves
+        and follows(*raw).answers(traits_of(raw.drives), raw.model)),
 )  # fmt: skip
 AGAINST = (
     Row(Kind.GOES_AGAINST, "Does a signal have the opposite sign of its prediction?", goes_against,
@@ -107,11 +91,13 @@ LEFT = (
     Row(Kind.WANDERS, "Does a zero error, a gain or a delay change with time?", by_course),
     Row(Kind.WANDERS, "Do the gains of segments differ, in any order?", gains_apart),
     Row(Kind.LOUDER, "Is the median residual larger than in the drives of the model file?",
-        _beside_stated),
+        lambda left: LEAVES.answers(left.by_band, left.state.stated)),
     Row(Kind.LOUDER, "Do some segments leave more than in the drives of the model file?",
         more_than_stated),
     Row(Kind.CHANGES_OTHERWISE,
-        "Do the changes of samples differ from the drives of the model file?", _changing),
+        "Do the changes of samples differ from the drives of the model file?",
+        lambda left: left.state.stated.leaves
+        and CHANGES.answers(changes_of(left.state.drives, left.state.model), left.state.stated)),
 )  # fmt: skip
 
 

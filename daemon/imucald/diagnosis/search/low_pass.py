@@ -1,18 +1,15 @@
 """Decide whether a late signal has a delay or a low-pass filter, by comparing the likelihoods of
 delay and filter.
 
-A delay x has the phase w x and the gain 1. A low-pass filter of first order has the phase atan(w T)
-and the gain 1/sqrt(1 + (w T)^2). A Butterworth filter of second order has the phase arctan(w T/(1 -
-(w T)^2/2)) and the gain 1/sqrt(1 + (w T)^4/4). Well below the cut-off frequency, all three have the
-delay x = T. The leading differences between the three responses are (w T)^2/2 and (w T)^3/6. A
-found delay is therefore compared with filters of about the same delay. The model with the delay
-gets a further column: the difference between filter and delay, with a factor of 0 (delay) or about
-1 (filter). All delays are free in both cases, so only the shape of the response decides. An
-alternative is ruled out under two conditions. The log-likelihood of the alternative must be lower
-by two standard errors and by the nats that name a cause. The difference in shape must exceed the
-error of the equations. Otherwise both alternatives remain possible. A delay of the speed is never
-ruled out: the speed unit counts pulses, averages and holds values, which has the shape of a filter
-(`css_canmod_164`, delayed artificially by 0.2 s, was found to have a low-pass filter).
+A delay x has the phase w x and the gain 1. Filters of first and second order (Butterworth) have the
+same delay T well below their cut-off frequency; their responses differ from it by (w T)^2/2 and (w
+T)^3/6. A found delay is therefore compared with filters of about the same delay. The model with the
+delay gets a further column: the difference between filter and delay, with a factor of 0 (delay) or
+about 1 (filter). All delays are free in both cases, so only the shape of the response decides. An
+alternative is ruled out if its log-likelihood is lower by two standard errors and by the nats that
+name a cause, and if the difference in shape exceeds the error of the equations. A delay of the
+speed is never ruled out: the speed unit counts pulses, averages and holds values, which has the
+shape of a filter (`css_canmod_164`, delayed artificially by 0.2 s).
 """
 
 from __future__ import annotations
@@ -27,14 +24,13 @@ from imucald.diagnosis.causes import BY_NAME, CAUSES
 from imucald.diagnosis.equations.forward import Forward
 from imucald.diagnosis.fit.added import level_of, rows_with, whitened
 from imucald.diagnosis.fit.blocks import late_signals
-from imucald.diagnosis.fit.score import REACH, Problem, held_out, without_best
+from imucald.diagnosis.fit.score import REACH, Problem, held_out, sum_and_se, without_best
 from imucald.diagnosis.search.state import State
 from imucald.diagnosis.search.trials import ALIKE_SE, Trial
 from imucald.drive.equations import Complex
 from imucald.drive.single_track import frequencies
 from imucald.mount.mount_words import SD_95
 
-ORDERS = 1, 2
 LONGER = tuple(2.0 ** (k / 3.0) for k in range(-1, 4))
 """Tested time constants, relative to the found delay. Near its cut-off frequency, a filter's delay
 is smaller than its time constant."""
@@ -89,8 +85,8 @@ class _Filter:
 def _compare(state: State, trial: Trial, name: str, late: Mapping[str, float]) -> None:
     filters = _filters(state, state.evaluated(), late)
     best = max(filters, key=lambda x: float(x.more.sum()))
-    more, ahead = best.more, float(best.more.sum())
-    least = max(ALIKE_SE * float(np.sqrt(len(more)) * np.std(more, ddof=1)), trial.needed)
+    more, (ahead, se) = best.more, sum_and_se(best.more)
+    least = max(ALIKE_SE * se, trial.needed)
     if ahead < -least and all(x.is_apart for x in filters):
         return
     other = replace(
@@ -142,7 +138,7 @@ def _filtered(f: Forward, late: Mapping[str, float]) -> Iterator[tuple[dict[str,
     """Yield, for each filter, its effect on signals that are read with the equal delay instead."""
     level = {signal: level_of(f, signal) for signal in late}
     s = frequencies(len(f.t))
-    for order in ORDERS:
+    for order in (1, 2):
         for longer in LONGER:
             yield {n: _more(y, s, late[n], longer * late[n], order) for n, y in level.items()}, 1.0
 

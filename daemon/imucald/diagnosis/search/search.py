@@ -1,11 +1,10 @@
 """Search for causes on a table of blocks: candidates are compared on data outside their fit.
 
-A cause is named under three conditions. The held-out gain of the cause, without the best block in
-fifteen, exceeds chance, corrected for the number of all questions. The parameters of the cause
-leave the box of correct model files. The value of the cause is plausible. A rival is reported with
-the cause if it is within two standard errors of the paired difference, or if it is worse by fewer
-nats than a cause needs to be named. Then the parameters of the cause are freed, and the search
-starts again.
+A cause is named if its held-out gain, without the best block in fifteen, exceeds chance, corrected
+for the number of all questions; if its parameters leave the box of correct model files; and if its
+value is plausible. A rival is reported with the cause if it is within two standard errors of the
+paired difference, or worse by fewer nats than a cause needs to be named. Then the parameters of the
+cause are freed, and the search starts again.
 """
 
 from __future__ import annotations
@@ -32,8 +31,6 @@ from imucald.diagnosis.search.trials import (
     on_table,
     tried,
 )
-
-MOST_NAMED = 6
 
 
 def asked_again(state: State, trial: Trial) -> Trial:
@@ -233,7 +230,7 @@ def _grown(
 ) -> None:
     """Name the causes that improve the prediction, one after another. fallen: names of causes that
     are not named again."""
-    while len(state.named) < MOST_NAMED and not late():
+    while len(state.named) < 6 and not late():
         problem = state.evaluated()
         state.last = _trials(problem, state, skip)
         open_to = [t for t in state.last if t.hypothesis.name not in fallen]
@@ -249,7 +246,12 @@ def _grown(
         if best is None:
             break
         alike = _alike(best, state.last)
-        best, edge = _from_the_edge(problem, state, best)
+        edge: dict[str, float] = {}
+        if not best.is_plausible and best.hypothesis.is_plain:
+            # Its step leads beyond its plausible range, so it is tested again at the edge.
+            again, step = where_it_leads(state, problem, best)
+            if again.named and again.is_plausible:
+                best, edge = again, step
         chosen = next(
             (t for t in [best, *alike] if t.is_plausible and t.hypothesis.name not in fallen),
             None,
@@ -356,15 +358,6 @@ def _where_it_leads(problem: Problem, state: State) -> Trial | None:
     found = [where_it_leads(state, problem, t)[0] for t in state.last if t.may_lead]
     passing = [t for t in found if t.named and t.is_plausible]
     return max(passing, key=lambda t: t.gain.sum(), default=None)
-
-
-def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
-    """Test a cause again at the edge of its plausible range if its step leads beyond this range.
-    Returns the trial, and the step to the tested place; no step if the second test did not pass."""
-    if best.is_plausible or not best.hypothesis.is_plain:
-        return best, {}
-    again, step = where_it_leads(state, problem, best)
-    return (again, step) if again.named and again.is_plausible else (best, {})
 
 
 def _is_near(best: Trial, other: Trial) -> bool:

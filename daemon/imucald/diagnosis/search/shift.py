@@ -15,7 +15,7 @@ import numpy as np
 from imucald.core.angles import RAD_PER_DEG as DEG
 from imucald.core.arrays import Array
 from imucald.diagnosis.fit.intervals import estimate, quantile
-from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, without_best
+from imucald.diagnosis.fit.score import Hypothesis, Problem, explained, held_out, without_best
 
 KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")
 LEAST_BLOCKS, LEAST_SHARE = 4, 0.2
@@ -72,28 +72,23 @@ def find_shift(problem: Problem) -> FittedShift | None:
     places = range(edge, blocks - edge + 1)
     if len(places) == 0:
         return None
+
+    def seen(pattern: Array) -> float:
+        """Return the nats by which a pattern of the mount explains kinematics and level."""
+        h = Hypothesis("mount_shift", KEYS, pattern=pattern)
+        step, se = _level_step(levels, pattern)
+        nats = 0.5 * ((step / np.maximum(se, 1e-6)) ** 2).sum() if len(levels) > 6 else 0.0
+        return explained(problem.widened(h)[0], problem.fit(h)) + float(nats)
+
     steps = [(np.arange(blocks) >= k).astype(float) for k in places]
-    scores = [_in_sample(problem, p) + _level_gain(levels, p) for p in steps]
+    scores = [seen(p) for p in steps]
     best = int(np.argmax(scores))
     ramp = np.linspace(0.0, 1.0, blocks)
-    found = _shift(problem, steps[best], "step", places[best])
-    creeping = _in_sample(problem, ramp) + _level_gain(levels, ramp)
-    if creeping > scores[best] + np.log(len(places)):
+    if seen(ramp) > scores[best] + np.log(len(places)):
         creep = _shift(problem, ramp, "creep", 0)
         if creep.named:
             return creep
-    return found
-
-
-def _hypothesis(pattern: Array) -> Hypothesis:
-    return Hypothesis("mount_shift", KEYS, pattern=pattern)
-
-
-def _in_sample(problem: Problem, pattern: Array) -> float:
-    """Return the nats by which a pattern of the mount improves the kinematics."""
-    h = _hypothesis(pattern)
-    total, x = problem.widened(h)[0].sum(axis=0), problem.fit(h)
-    return float(total[1:, 0] @ x - 0.5 * x @ total[1:, 1:] @ x)
+    return _shift(problem, steps[best], "step", places[best])
 
 
 def _level_step(levels: Array, pattern: Array) -> tuple[Array, Array]:
@@ -109,14 +104,9 @@ def _level_step(levels: Array, pattern: Array) -> tuple[Array, Array]:
     return step, se
 
 
-def _level_gain(levels: Array, pattern: Array) -> float:
-    step, se = _level_step(levels, pattern)
-    return float(0.5 * ((step / np.maximum(se, 1e-6)) ** 2).sum()) if len(levels) > 6 else 0.0
-
-
 def _shift(problem: Problem, pattern: Array, kind: str, place: int) -> FittedShift:
     """Combine both sources of evidence, weighted by the inverse of their variances."""
-    h, table = _hypothesis(pattern), problem.table
+    h, table = Hypothesis("mount_shift", KEYS, pattern=pattern), problem.table
     e = estimate(problem, h, 3)
     gain = held_out(problem) - held_out(problem, h)
     turn, se = e.value.copy(), e.se.copy()

@@ -28,7 +28,6 @@ from imucald.diagnosis.signals import DriveSignals
 from imucald.model.model import VehicleModel
 
 REFITS = 3
-CREEP_STEPS = 8
 SMALL_STEP = 0.05
 """Share of its tolerance by which a parameter may move in a refit that has converged."""
 
@@ -171,9 +170,10 @@ def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
     """Return rotations by time: one step, or several small steps for a creep."""
     if shift.kind == "step":
         return [(shift.start_s, shift.turn)]
-    times = np.linspace(0.0, 1.0, CREEP_STEPS + 2)[1:-1]
+    # A creep is written as eight steps.
+    times = np.linspace(0.0, 1.0, 10)[1:-1]
     starts = shift.low_s + times * (shift.high_s - shift.low_s)
-    return [(float(t), shift.turn / CREEP_STEPS) for t in starts]
+    return [(float(t), shift.turn / len(times)) for t in starts]
 
 
 def final_estimates(state: State) -> dict[str, tuple[float, float]]:

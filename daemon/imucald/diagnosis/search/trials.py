@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from imucald.core.arrays import Array
+from imucald.core.arrays import Array, Index
 from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import ACCEL_BIAS, CAUSES, MODEL_ERROR, Cause, family
-from imucald.diagnosis.fit.blocks import NDArrayInt, Table
+from imucald.diagnosis.fit.blocks import Table
 from imucald.diagnosis.fit.intervals import Estimate, estimate
 from imucald.diagnosis.fit.score import Hypothesis, Problem, held_out, paired, without_best
 from imucald.diagnosis.signals import CHANCE
@@ -27,7 +27,6 @@ ALIKE_SE = 2.0
 """Number of standard errors of their difference within which two causes count as equal."""
 FALSE_SHARE = 0.2
 """Share of the causes reported as likely that may be false: one in five."""
-RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
 
 
@@ -51,7 +50,7 @@ class Trial:
     reach: Array
     """Smallest differences (k,) at which a parameter that moves with the hypothesis leaves its
     tolerance."""
-    number: NDArrayInt
+    number: Index
     """Index (B,) of the block of each gain, among all blocks of the drives."""
 
     def ahead_of(self, other: Trial) -> tuple[float, float]:
@@ -214,18 +213,17 @@ def joined(problem: Problem, trials: Sequence[Trial], base: Array) -> list[Trial
         while best is not None and best.shown > best.needed:
             beside = [t for t in own if not set(t.hypothesis.keys) & set(best.hypothesis.keys)]
             asked += len(beside)
-            more = [tried(problem, _both(best.hypothesis, t.hypothesis), base, asked)
-                    for t in beside]  # fmt: skip
+            one = best.hypothesis
+            more = [
+                tried(problem, Hypothesis(one.name, (*one.keys, *h.keys),
+                                          (*one.directions, *h.directions)), base, asked)
+                for h in (t.hypothesis for t in beside)
+            ]  # fmt: skip
             following = max(more, key=lambda t: t.gain.sum(), default=None)
             if following is None or without_best(following.gain - best.gain) <= best.needed:
                 break
             made.append(best := following)
     return made
-
-
-def _both(one: Hypothesis, other: Hypothesis) -> Hypothesis:
-    directions = (*one.directions, *other.directions)
-    return Hypothesis(one.name, (*one.keys, *other.keys), directions)
 
 
 def _reach(table: Table, h: Hypothesis) -> Array:
@@ -267,9 +265,9 @@ def likeliest(trials: Sequence[Trial]) -> list[Trial]:
     if not count:
         return []
     gains = np.array([t.gain for t in best])
-    weights = np.random.default_rng(0).dirichlet(np.ones(gains.shape[1]), RESAMPLED)
+    weights = np.random.default_rng(0).dirichlet(np.ones(gains.shape[1]), 1000)
     first = np.argmax(gains @ weights.T, axis=0)
-    share = np.bincount(first, minlength=len(best)) / RESAMPLED
+    share = np.bincount(first, minlength=len(best)) / len(weights)
     return [
         t
         for t, x in zip(best[:count], share[:count], strict=True)
