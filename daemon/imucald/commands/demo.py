@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
 
 from imucald.commands.monitor import add_web_argument
+from imucald.commands.options import add_mount
 from imucald.core.errors import ConfigError
 
 DEFAULT_MINUTES = 6.0
@@ -25,8 +25,6 @@ MAX_MINUTES = 120.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `demo`."""
-    # Otherwise "-5,3,30" would be read as an option.
-    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
     parser.add_argument(
         "--seed",
         type=int,
@@ -40,9 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help=f"length of the drive (default: {DEFAULT_MINUTES:g})",
     )
-    parser.add_argument(
-        "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
-    )
+    add_mount(parser)
     parser.add_argument(
         "--quick", action="store_true", help=f"simulate only {QUICK_MINUTES:g} minutes"
     )

@@ -7,7 +7,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
+from imucald.commands.options import (
+    LOG_HELP,
+    add_config,
+    add_quiet,
+    add_strict,
+    configuration,
+    print_problems,
+)
 from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
@@ -62,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="processor time after which the search ends with the causes found so far (default: 40 "
         "s for each hour of driving, at least 30 s)",
     )
-    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    add_strict(parser)
     add_quiet(parser, "print no progress and no summary")
 
 

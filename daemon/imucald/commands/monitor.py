@@ -42,9 +42,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C. If the daemon stops, wait for it."""
-    answer = asked(options, "status")
-    if isinstance(answer, int):  # no daemon at the start is an error
-        return answer
+    asked(options, "status")  # no daemon at the start is an error
     path = find_socket(options.socket, options.channel)
     seconds = float("inf") if options.seconds is None else options.seconds
     end = time.monotonic() + seconds

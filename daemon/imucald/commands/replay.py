@@ -11,7 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
+from imucald.commands.options import (
+    LOG_HELP,
+    add_config,
+    add_quiet,
+    add_strict,
+    configuration,
+    print_problems,
+)
 from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
@@ -75,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "index (needs "
         f"{how_to_install('report')})",
     )
-    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    add_strict(parser)
     parser.add_argument(
         "--speed",
         type=float,

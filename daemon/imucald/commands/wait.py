@@ -70,26 +70,16 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
 
     Raises LinkError if several daemons run and none is named, or if another program answers.
     """
-    from imucald.commands.status import (
-        FINE,
-        NOT_RUNNING,
-        NOT_YET,
-        UNCLEAR,
-        NoAnswer,
-        answer_of,
-        exit_status,
-    )
+    from imucald.commands.status import FINE, NOT_YET, asked, exit_status
     from imucald.commands.status_view import waits_for
-    from imucald.core.errors import LinkError
-    from imucald.service.asking import understood
+    from imucald.service.asking import BusyError, NotRunningError, understood
 
-    answer = answer_of(options, "status")
-    if isinstance(answer, NoAnswer):
-        if answer.status == UNCLEAR:
-            raise LinkError(answer.reason)
-        is_absent = answer.status == NOT_RUNNING
-        return answer.status, "no daemon runs" if is_absent else "the daemon does not answer"
-    status = json.loads(answer)
+    try:
+        status = json.loads(asked(options, "status"))
+    except NotRunningError as error:
+        return error.exit_status, "no daemon runs"
+    except BusyError as error:
+        return error.exit_status, "the daemon does not answer"
     with understood(options.socket):
         line = waits_for(status)
         return FINE if _is_reached(status, options.state) else exit_status(status) or NOT_YET, line

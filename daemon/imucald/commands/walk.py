@@ -7,7 +7,14 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
+from imucald.commands.options import (
+    LOG_HELP,
+    add_config,
+    add_quiet,
+    add_strict,
+    configuration,
+    print_problems,
+)
 from imucald.core.text import counted
 
 SHOWN = 20
@@ -25,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write every step as JSON (without FILE: standard output)",
     )
-    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    add_strict(parser)
     add_quiet(parser, "print no progress and no table")
 
 
