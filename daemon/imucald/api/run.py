@@ -28,7 +28,6 @@ from imucald.api.recorder import Recorder, microseconds
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.errors import NoFramesError
 from imucald.core.text import counted
-from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
 from imucald.runtime.segment_samples import SegmentSamples
@@ -76,9 +75,6 @@ class Watcher(Protocol):
     def snapshot(self, snapshot: Snapshot, /) -> None:
         """Receive a snapshot of the estimate."""
 
-    def sink(self, engine: Engine, /) -> Sink:
-        """Return the receiver for the frames that the daemon would send."""
-
     def begins(self, lead: float, /) -> None:
         """Receive the time [s] from the beginning of the log to the first configured frame."""
 
@@ -116,9 +112,6 @@ class ReplayRun:
         router = self.engine.router
         reading = sources, router.matches, strict, progress, router.stated_cycles
         self._reader = LogReader(*reading)
-        if watcher is not None:
-            seen = watcher.sink(self.engine)
-            sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
         self._watcher = watcher
         self._kinds = self.engine.output.sensor_of

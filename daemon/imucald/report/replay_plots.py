@@ -13,7 +13,7 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95
-from imucald.report.drive_history import DriveHistory, Moment
+from imucald.report.drive_history import DriveHistory
 from imucald.report.svg_figures import drawn
 from imucald.report.themed_figures import (
     BAD,
@@ -26,6 +26,7 @@ from imucald.report.themed_figures import (
     time_axis,
 )
 from imucald.runtime.drive_events import Event
+from imucald.runtime.pipeline import Snapshot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +118,7 @@ def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
 
 
 def _draw_angle(
-    axes: Axes, moments: Sequence[Moment], angle: int, events: Sequence[Numbered]
+    axes: Axes, moments: Sequence[Snapshot], angle: int, events: Sequence[Numbered]
 ) -> None:
     table = np.array([(m.t, *_angle(m, angle)) for m in moments]).reshape(len(moments), 3)
     t, value, half = table.T
@@ -138,7 +139,7 @@ def _draw_angle(
     axes.ticklabel_format(axis="y", useOffset=False)
 
 
-def _angle(moment: Moment, angle: int) -> tuple[float, float]:
+def _angle(moment: Snapshot, angle: int) -> tuple[float, float]:
     """Return an angle of the mount, and the half width of its 95 % interval [deg]."""
     angles, std = moment.estimate.angles, moment.estimate.angle_std
     if angles is None or std is None:
@@ -158,8 +159,8 @@ def _size(off: Array, half: Array) -> float:
 
 def arrivals_picture(history: DriveHistory) -> str:
     """Draw the sample rate of each signal over time, with gaps and rejections."""
-    samples, rejected = history.all_samples, history.rejected
-    channels = sorted(set(samples) | set(rejected))
+    arrivals, rejected = history.arrivals, history.rejected
+    channels = sorted(set(arrivals) | set(rejected))
     duration = max(history.duration_s, 1.0)
     edges = np.linspace(0.0, duration, TIME_BINS + 1)
     middle, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
@@ -167,7 +168,7 @@ def arrivals_picture(history: DriveHistory) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         for i, channel in enumerate(reversed(channels)):
-            t = samples[channel].t if channel in samples else np.zeros(0)
+            t = arrivals.get(channel, np.zeros(0))
             count, _ = np.histogram(t, edges)
             usual = float(np.median(count[count > 0])) if count.any() else 1.0
             height = 0.8 * np.minimum(count / usual, 1.15)
