@@ -12,6 +12,7 @@ import socket
 import subprocess
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,6 @@ from imucald.commands.status_view import (
     picture,
     print_status,
     short,
-    waits_for,
 )
 from imucald.core.errors import LinkError
 from imucald.mount.contradictions import WORDS, StandingFault
@@ -119,7 +119,7 @@ def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
         drawn(picture(now), 80),
         drawn(lambda c: monitor_picture(now, [], c, Text("")), 80, 24),
         [short(now)],
-        [waits_for(now)],
+        [short(now, with_angles=False)],
     ):
         assert lines[0].startswith(words)
         if changed.get("state") is None and words != SEEN_FIRST["all is well"][2]:
@@ -161,7 +161,7 @@ def test_nobody_is_asked_to_drive_while_nothing_flows(status):
     status["progress"] = PROGRESS
     silent = without_input(status)
     ended = "the daemon has ended"
-    for words in (short, waits_for):
+    for words in (short, partial(short, with_angles=False)):
         assert "3 min of driving" not in words(silent)
         assert "waiting for" not in words(silent)
     for size in ((100, 50), (80, 24)):

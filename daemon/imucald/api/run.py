@@ -102,7 +102,7 @@ class ReplayRun:
         sources = [opened(log) for log in logs]
         self.logs = tuple(str(source) for source in sources)
         self._signals = signals
-        self._recorder = Recorder(signals, lambda: self._reader.share)
+        self._recorder = Recorder(signals)
         snapshot: Callable[[Snapshot], None] = self._recorder.snapshot
         samples: Callable[[SegmentSamples], None] = self._recorder.samples
         if watcher is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 from imucald.commands.monitor import add_web_argument
@@ -101,9 +100,13 @@ def run(options: argparse.Namespace) -> int:
 def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
     """Show a drive as fast as possible, its result, and (if requested) its picture."""
     from imucald.commands.demo_drive import Demonstration
-    from imucald.commands.demo_picture import Picture
-    from imucald.commands.demo_result import print_result, write_svg
-    from imucald.commands.demo_view import LiveView, PlainView
+    from imucald.commands.demo_picture import (
+        LiveView,
+        Picture,
+        PlainView,
+        print_result,
+        write_svg,
+    )
     from imucald.commands.simulate import chosen_model
     from imucald.simulation.drive import simulate
     from imucald.traffic.drive_encoder import example_config
@@ -117,8 +120,7 @@ def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
     drive = simulate(model, options.seed, minutes)
     view = LiveView(options.seed) if sys.stdout.isatty() else PlainView(options.seed)
     picture = Picture()
-    with ExitStack() as stack:
-        demonstration = stack.enter_context(Demonstration(drive, example_config()))
+    with Demonstration(drive, example_config()) as demonstration:
         with view:
             for _ in demonstration.run():
                 view.show(demonstration)

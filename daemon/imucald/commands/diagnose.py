@@ -76,9 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read the drives, diagnose them, and write all requested reports."""
     from imucald.api.diagnosing import diagnosis_of
-    from imucald.commands.diagnose_view import share_bar
     from imucald.commands.files import STANDARD, write_text, write_yaml
     from imucald.commands.schema import MODEL
+    from imucald.commands.terminal import share_bar
     from imucald.runtime.summary import as_json
     from imucald.simulation import load_model
 
@@ -118,7 +118,7 @@ def _check(options: argparse.Namespace) -> None:
         seen[place] = log
     outputs = [options.json, options.write_model]
     if options.report:
-        from imucald.commands.report_folder import PAGE, check_report_folder
+        from imucald.commands.report_pages import PAGE, check_report_folder
 
         folder = options.report
         check_report_folder(folder)
@@ -140,7 +140,7 @@ def _read(config: Configuration, log: str, options: argparse.Namespace) -> Recor
 
 
 def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> Path:
-    from imucald.commands.report_folder import about_now, write_page
+    from imucald.commands.report_pages import about_now, write_page
     from imucald.report.page import report_page
 
     model = options.model.name if options.model else "plain car, mount from these drives"

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from imucald.commands.terminal import plain_console, plain_where_needed, screen_console
+from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
 from imucald.report import titles
 from imucald.report import wording as words
@@ -26,26 +23,6 @@ INDENT = (0, 0, 0, 2)
 
 COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold magenta",
            "nothing": "bold green"}  # fmt: skip
-
-
-@contextmanager
-def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
-    """Show a progress bar and the current step. Yields a callback with the arguments share done (0
-    to 1) and text of the step."""
-    if quiet or not sys.stderr.isatty():
-        yield _nothing
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    words_now = TextColumn("{task.description}", markup=False)
-    columns = (words_now, BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
-    with Progress(*columns, console=screen_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=1.0)
-        yield lambda share, doing: bar.update(task, completed=share, description=doing or text)
-
-
-def _nothing(share: float, doing: str) -> None:
-    """Show nothing, because the output is not a terminal."""
 
 
 def print_diagnosis(diagnosis: Diagnosis, has_file: bool = True) -> None:

@@ -6,10 +6,10 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from imucald.commands.options import (
     LOG_HELP,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from imucald.api.drive import DriveResult
     from imucald.api.run import ReplayRun
     from imucald.can.columns import FrameColumns
-    from imucald.commands.replay_report import ReplayReport
+    from imucald.commands.report_pages import ReplayReport
     from imucald.runtime.replay import Sink
 
 
@@ -117,7 +117,6 @@ def run(options: argparse.Namespace) -> int:
 def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
-    from imucald.commands.replay_causes import causes
     from imucald.runtime.summary import as_json
 
     page = _page(options, logs, options.report)  # checked before a file is opened
@@ -129,7 +128,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
         write_text(options.json, as_json(result))
     require_frames(drive)
     is_shown = STANDARD not in (options.json, options.out) and not options.quiet
-    why = causes(options, config, logs, result) if is_shown or page is not None else []
+    why = _causes(options, config, logs, result) if is_shown or page is not None else []
     if page is not None:
         page.write(result, drive.problems, why)
     if is_shown:
@@ -140,13 +139,48 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     return 1 if is_unused(drive) else 0
 
 
+def _causes(
+    options: argparse.Namespace,
+    config: Configuration,
+    logs: Sequence[str],
+    result: Mapping[str, Any],
+) -> list[str]:
+    """Return the likely causes of the contradictions in a replayed drive; empty if there is no
+    contradiction.
+
+    The estimator compares pairs of signals while it runs, so it cannot say which signal of a pair
+    is wrong. `check` judges the whole drive. If it finds no error, the text says so. result: as in
+    docs/json.md.
+    """
+    import shlex
+
+    from imucald.api.checking import check
+    from imucald.can.logs.text_blocks import STDIN
+    from imucald.mount.estimate import GOOD_NAMES
+
+    if result["state"] in GOOD_NAMES or not result["details"].get("faults"):
+        return []
+    names = ["LOG" if log == STDIN else log for log in logs]
+    command = shlex.join(["imucald", "check", "--config", str(options.config), *names])
+    if STDIN in logs:
+        return [f"two signals contradict each other: save the log, then run '{command}'"]
+    found = check(config, logs).findings
+    for level in ("error", "warning"):
+        if texts := [f"{f['quantity']}: {f['text']}" for f in found if f["level"] == level]:
+            return texts
+    return [
+        "not known: two signals contradict each other in a part of the drive, but over the whole "
+        f"drive no sign, axis or unit is wrong. The sensor may move in its holder. '{command}' "
+        "shows every signal"
+    ]
+
+
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
     from imucald.api.between_drives import between_drives
     from imucald.api.drives import DriveSet
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
-    from imucald.commands.replay_causes import causes
     from imucald.core.errors import LogError
     from imucald.runtime.summary import as_json
 
@@ -160,7 +194,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
             drive, files = _replayed(options, config, [log], path, None, page)
             _print_problems(options, drive, f"{log}: ")
             require_frames(drive)
-            why = causes(options, config, [log], drive.to_dict())
+            why = _causes(options, config, [log], drive.to_dict())
             explained += (f"{log}: {text}" for text in why)
             if page is not None:
                 page.write(drive.to_dict(), drive.problems, why)
@@ -176,7 +210,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     found = DriveSet(tuple(drives), *between_drives(drives), tuple(failed))
     broken = [f"not read: {reason}" for _, reason in failed]
     if options.report is not None and drives:
-        from imucald.commands.replay_report import write_index
+        from imucald.commands.report_pages import write_index
 
         file = write_index(
             options.report,
@@ -227,16 +261,13 @@ def _written(
     from imucald.core.errors import LogError
 
     stream, files = DriveStream(run), list[Path]()
+    names = options.quantities.split(",") if options.quantities else None
     try:
-        files = stream.write(path, _quantities(options))
+        files = stream.write(path, names)
     except LogError:
         if not stream.ended:  # a log without a frame has a result, and is reported later
             raise
     return stream.result, files
-
-
-def _quantities(options: argparse.Namespace) -> list[str] | None:
-    return options.quantities.split(",") if options.quantities else None
 
 
 def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
@@ -254,7 +285,7 @@ def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
 
     if folder is None:
         return [None] * len(logs)
-    from imucald.commands.report_folder import check_report_folder, make_folder
+    from imucald.commands.report_pages import check_report_folder, make_folder
 
     check_report_folder(folder)
     make_folder(folder)
@@ -268,7 +299,7 @@ def _page(
     requested."""
     if folder is None:
         return None
-    from imucald.commands.replay_report import ReplayReport
+    from imucald.commands.report_pages import ReplayReport
 
     return ReplayReport(options, logs, folder)
 

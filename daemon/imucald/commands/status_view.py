@@ -70,24 +70,14 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 """Alarms for sensors that send no samples."""
 
 
-def waits_for(status: Mapping[str, Any]) -> str:
-    """Return one line about the frames that are sent now, and about the missing evidence."""
-    return "; ".join([flow(status).text, *_still_missing(status)])
-
-
-def short(status: Mapping[str, Any]) -> str:
+def short(status: Mapping[str, Any], with_angles: bool = True) -> str:
     """Return the status as one line: the frames that are sent now, the angles, the missing
     evidence."""
-    angles = angles_line(status["mount"])
-    return "; ".join([flow(status).text, *([angles] if angles else []), *_still_missing(status)])
-
-
-def _still_missing(status: Mapping[str, Any]) -> list[str]:
-    if flow(status).kind is FlowKind.NONE:  # driving does not help while nothing flows
-        return []
-    waits = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
-    progress = progress_words(status.get("progress"))
-    return waits + [progress] * bool(progress)
+    parts = [flow(status).text, angles_line(status["mount"]) if with_angles else ""]
+    if flow(status).kind is not FlowKind.NONE:  # driving does not help while nothing flows
+        parts += [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
+        parts.append(progress_words(status.get("progress")))
+    return "; ".join(filter(None, parts))
 
 
 def picture(status: Mapping[str, Any]) -> Group:

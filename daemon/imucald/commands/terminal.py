@@ -90,38 +90,43 @@ def plain_console() -> Console:
 
 
 @contextmanager
-def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
-    """Show a bar while the body runs. Yields a callback for (done, total) bytes, or None."""
+def _bar(
+    text: str, total: float | None, quiet: bool, *columns: str
+) -> Iterator[Callable[..., None] | None]:
+    """Show a bar with these columns of rich while the body runs, on stderr. Yields a callback for
+    the done part, or None without a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich import progress
 
-    columns = (TextColumn(text), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=screen_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    shown = [progress.TextColumn("{task.description}", markup=False), progress.BarColumn()]
+    shown += [getattr(progress, name)() for name in columns]
+    with progress.Progress(*shown, console=screen_console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda done, **more: bar.update(task, completed=done, **more)
+
+
+@contextmanager
+def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
+    """Show a bar while the body runs. Yields a callback for (done, total) bytes, or None."""
+    with _bar(text, None, quiet, "DownloadColumn", "TimeRemainingColumn") as update:
+        yield update and (lambda done, total: update(done, total=total))
+
+
+@contextmanager
+def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None] | None]:
+    """Show a bar and the current step. Yields a callback for the share done (0 to 1) and the text
+    of the step, or None."""
+    with _bar(text, 1.0, quiet, "TaskProgressColumn", "TimeElapsedColumn") as update:
+        yield update and (lambda share, doing: update(share, description=doing or text))
 
 
 @contextmanager
 def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
     """Show the elapsed part of a known time. Yields a callback for the elapsed seconds."""
-    if not sys.stderr.isatty():
-        yield _nothing
-        return
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    words = TextColumn("{task.description}", markup=False)
-    columns = (words, BarColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=screen_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=seconds)
-        yield lambda passed: bar.update(task, completed=passed)
-
-
-def _nothing(passed: float) -> None:
-    """Show nothing, because the output is not a terminal."""
+    with _bar(text, seconds, False, "TimeRemainingColumn") as update:
+        yield update or (lambda _: None)
 
 
 def plain_where_needed() -> None:
@@ -132,7 +137,7 @@ def plain_where_needed() -> None:
 
 
 def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None:
-    """Print the result of a replay as tables. causes: see `replay_causes`."""
+    """Print the result of a replay as tables. causes: likely causes of contradictions."""
     from rich.text import Text
 
     from imucald.commands.mount_view import mount_parts

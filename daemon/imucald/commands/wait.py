@@ -71,7 +71,7 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
     Raises LinkError if several daemons run and none is named, or if another program answers.
     """
     from imucald.commands.status import FINE, NOT_YET, asked, exit_status
-    from imucald.commands.status_view import waits_for
+    from imucald.commands.status_view import short
     from imucald.service.asking import BusyError, NotRunningError, understood
 
     try:
@@ -81,7 +81,7 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
     except BusyError as error:
         return error.exit_status, "the daemon does not answer"
     with understood(options.socket):
-        line = waits_for(status)
+        line = short(status, with_angles=False)
         return FINE if _is_reached(status, options.state) else exit_status(status) or NOT_YET, line
 
 
