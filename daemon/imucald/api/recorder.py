@@ -172,7 +172,6 @@ class Recorder:
         return found
 
     def _times(self, t: Array) -> NDArray[np.int64]:
-        """Convert stream times to times of day [us], with the offset of their segment."""
         if not self._segments:
             return np.zeros(len(t), np.int64)
         starts, offsets = np.array(self._segments).T
@@ -181,7 +180,7 @@ class Recorder:
 
 
 def _joined(parts: deque[NDArray[Any]]) -> NDArray[Any]:
-    """Join the parts of a column and drop them, so that only one column at a time is there twice."""
+    """Join the parts of a column and drop them, so that only one column is there twice."""
     whole = np.concatenate(parts)
     parts.clear()
     return whole
@@ -220,7 +219,6 @@ def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
 
 
 def _by_axis(values: Array) -> Array:
-    """Transpose samples (N,) or (N, axes), so that the axes come first."""
     return np.atleast_2d(values.T)
 
 

@@ -67,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _command(options: argparse.Namespace, minutes: float) -> str:
-    """Return the command line that shows the same drive."""
     mount = f" --mount {options.mount}" if options.mount else ""
     return f"imucald demo --seed {options.seed} --minutes {minutes:g}{mount} --svg FILE"
 
@@ -98,7 +97,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
-    """Show a drive as fast as possible, its result, and (if requested) its picture."""
     from imucald.commands.demo_drive import Demonstration
     from imucald.commands.demo_picture import (
         LiveView,

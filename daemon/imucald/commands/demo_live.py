@@ -136,7 +136,6 @@ def run_live(
 
 
 def _found(socket: Path) -> str:
-    """Return the last mount of the daemon as text."""
     try:
         status = content(socket, "status", ask(socket, "status"))
     except LinkError:
@@ -159,7 +158,6 @@ def _simulated(log: Path, seed: int, minutes: float, mount: str | None) -> dict[
 
 @contextmanager
 def _daemon(interface: str, channel: str) -> Iterator[Path]:
-    """Run the daemon in a thread; yields its status socket."""
     with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder, _quiet() as journal:
         socket = Path(folder) / "status.sock"
         options = ServiceOptions(

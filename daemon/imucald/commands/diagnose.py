@@ -106,7 +106,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Raise ImucaldError before any work for options that would fail later."""
     from imucald.commands.files import STANDARD, check_files
     from imucald.core.errors import ConfigError
 

@@ -89,7 +89,6 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
-    """Print the causes that these drives cannot distinguish, and the remaining errors."""
     if diagnosis.look_alikes:
         console.print()
     for group_titles, group in words.look_alike_groups(diagnosis).items():

@@ -53,7 +53,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _command(options: argparse.Namespace) -> str:
-    """Return the command line that draws the same picture."""
     name = next(n for n in ("axes", "mount", "quaternion") if getattr(options, n))
     value = getattr(options, name)
     return f"imucald draw --{name}" if value is True else f"imucald draw --{name} {value}"

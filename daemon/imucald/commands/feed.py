@@ -170,7 +170,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _on_end(stop: Callable[[], None]) -> None:
-    """Call `stop` at SIGINT and SIGTERM."""
     import signal
 
     for number in (signal.SIGINT, signal.SIGTERM):

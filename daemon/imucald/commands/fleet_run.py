@@ -212,7 +212,6 @@ def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
 
 
 def _print_end(counts: Counts, whole: bool) -> int:
-    """Print the result of the run, and return the exit status."""
     failed = ", ".join(f"{kind} {n}" for kind, n in sorted(counts.failed.items()))
     text = f"imucald: {counted(counts.done, 'log')} evaluated"
     print(f"{text}{f'; failed: {failed}' if failed else ''}", file=sys.stderr)

@@ -102,7 +102,6 @@ def _angle(value: float, half: float | None) -> str:
 
 
 def _mounts(rows: Sequence[dict[str, Any]], are_moves_known: bool) -> Table:
-    """Make the table of vehicles with their present mounts, see `present_mounts`."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)

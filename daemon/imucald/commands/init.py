@@ -141,7 +141,6 @@ def _require_matches(
 
 
 def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
-    """Return texts about the results, and about the next step for this log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
     found = f"{counted(count, 'quantity', 'quantities')}, {unsure or 'none'} unsure\n"

@@ -32,8 +32,6 @@ KIND_STYLES = {
     "alarm": "red",
     "fault": "red",
     "moved": "bold red",
-    "bus": "yellow",
-    "state": "cyan",
 }
 
 

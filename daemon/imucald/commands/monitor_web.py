@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict
 
-from imucald.commands.live_events import LiveEvents, logged_events
+from imucald.commands.live_events import LiveEvent, asked_events, live_events
 from imucald.commands.monitor_view import input_health
 from imucald.commands.status_view import is_stale, no_answer, wrong_now
 from imucald.core.errors import ImucaldError, LinkError
@@ -80,24 +80,22 @@ class LiveState:
         self._status: dict[str, Any] | None = None
         self._trouble = ""
         self._last: float | None = None
-        self._events = LiveEvents()
+        self._events: list[LiveEvent] = []
         self._columns: list[str] = []
         self._rows: deque[list[Any]] = deque(maxlen=KEPT)
 
-    def update(self, status: dict[str, Any], now: float) -> None:
-        """Process a status at wall clock `now` [s]."""
+    def update(
+        self, status: dict[str, Any], now: float, logged: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
+        """Process a status and the log of the daemon at wall clock `now` [s]."""
         before, self._status = self._status, status
         try:
-            self._events.update(status, now)
+            self._events = live_events(status, now, logged)
             self.page(math.inf)
         except BaseException:
             self._status = before
             raise
         self._trouble, self._last = "", now
-
-    def remember(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Add the events that the daemon logged before this page was started."""
-        self._events.remember(events)
 
     @property
     def newest(self) -> float:
@@ -109,11 +107,6 @@ class LiveState:
         and the rows that are newer than `newest`."""
         self._columns = list(found["columns"])
         self._rows.extend(found["rows"])
-
-    @property
-    def is_begun(self) -> bool:
-        """True if a daemon has answered."""
-        return self._status is not None
 
     def fail(self, error: Exception) -> None:
         """Register that the daemon did not answer."""
@@ -167,7 +160,7 @@ class LiveState:
             },
             "events": [
                 {"at": e.clock, "t": e.at, "kind": e.kind, "text": e.text}
-                for e in self._events.events
+                for e in self._events
             ],
             "views": [] if rotation is None else view_drawings(rotation),
             "drawing_style": STYLE,
@@ -268,11 +261,9 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
 async def _ask(path: Path, state: LiveState) -> None:
     try:
         status = content(path, "status", await asyncio.to_thread(ask, path, "status"))
-        events = [] if state.is_begun else await asyncio.to_thread(logged_events, path)
+        logged = await asyncio.to_thread(asked_events, path)
         with understood(path):
-            if not state.is_begun:
-                state.remember(events)
-            state.update(status, time.time())
+            state.update(status, time.time(), logged)
     except LinkError as error:
         state.fail(error)
         return

@@ -85,7 +85,6 @@ def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
 
 
 def _angles(result: Mapping[str, Any]) -> Table:
-    """Make the table of the mount angles of the housing, each with its ±."""
     table = Table(box=None, pad_edge=False)
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)

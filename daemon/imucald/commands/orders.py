@@ -99,7 +99,6 @@ def _mount(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _give(options: argparse.Namespace, order: str, **more: Any) -> int:
-    """Send an order to the selected daemons, print their answers, and return the exit status."""
     from imucald.commands.status import find_socket, running_sockets
     from imucald.service.asking import NotRunningError
 

@@ -238,7 +238,6 @@ def _replayed(
     sink: Sink | None,
     page: ReplayReport | None,
 ) -> tuple[DriveResult, list[Path]]:
-    """Replay one recording; return its result and the written files."""
     from imucald.api.run import ReplayRun
     from imucald.commands.terminal import progress_bar
 
@@ -256,7 +255,6 @@ def _replayed(
 def _written(
     run: ReplayRun, path: Path, options: argparse.Namespace
 ) -> tuple[DriveResult, list[Path]]:
-    """Replay into a file; return the result and the written files."""
     from imucald.api.streaming import DriveStream
     from imucald.core.errors import LogError
 
@@ -271,7 +269,6 @@ def _written(
 
 
 def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """Return the path of the output file of each drive; None without output files."""
     from imucald.api.drives import names_apart
 
     if path is None:
@@ -295,8 +292,6 @@ def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
 def _page(
     options: argparse.Namespace, logs: Sequence[str], folder: Path | None
 ) -> ReplayReport | None:
-    """Return the object that collects the data for the drive's page; None if no page is
-    requested."""
     if folder is None:
         return None
     from imucald.commands.report_pages import ReplayReport
@@ -321,7 +316,6 @@ def _print_written(files: Sequence[Path]) -> None:
 
 
 def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
-    """Raise ImucaldError before any work if options contradict each other."""
     from imucald.commands.files import check_files
     from imucald.core.errors import ConfigError
 

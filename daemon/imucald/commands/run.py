@@ -195,7 +195,6 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
 
 
 def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
-    """Return the process that serves metrics; None if no address is given."""
     if address is None:
         return None
     from imucald.commands.metrics import serve

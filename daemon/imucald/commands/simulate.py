@@ -145,7 +145,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _start(text: str | None) -> float:
-    """Return the time stamp of the first frame [UNIX s]."""
     from imucald.traffic.can_log import EPOCH_S
 
     if text is None:

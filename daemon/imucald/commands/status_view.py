@@ -96,7 +96,6 @@ def print_status(console: Console, status: Mapping[str, Any]) -> None:
 
 
 def _first_line(status: Mapping[str, Any]) -> Text:
-    """Return a text that states whether corrected frames are sent now."""
     now = flow(status)
     return Text(now.text, style=FLOW_STYLES[now.kind])
 
@@ -213,7 +212,6 @@ def _troubles(status: Mapping[str, Any]) -> list[str]:
 
 
 def _sensors(status: Mapping[str, Any]) -> Text:
-    """Return a text that states which sensors can be used, and why the other sensors cannot."""
     health = status["signal_health"]
     absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
     if is_starting(status):
@@ -243,7 +241,6 @@ def _evidence(details: Mapping[str, Any]) -> str:
 
 
 def _weights(details: Mapping[str, Any]) -> str:
-    """Return a text that states which evidence determines each angle."""
     parts = []
     for angle, shares in details.get("evidence_share", {}).items():
         sums: dict[str, float] = {}

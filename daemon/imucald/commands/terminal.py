@@ -193,7 +193,6 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
 
 
 def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
-    """Yield texts about moved sensors and faults, in the order of time."""
     from imucald.runtime.drive_events import in_order, reported_events
 
     events = in_order(reported_events(result))
@@ -204,7 +203,6 @@ def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:
-    """Yield texts about the results of attitude and direction of travel, if they are enabled."""
     attitude = result.get("attitude")
     if attitude is not None:
         angles = ", ".join(

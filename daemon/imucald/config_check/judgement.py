@@ -156,7 +156,6 @@ def _signs_and_axes(
     rates: Mapping[str, Array],
     turned: Mapping[str, bool] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Yield all findings about signs and exchanged axes, from turns, slopes and gravity."""
     yield from sign_findings(rates, turned)
     if not motion.planar:
         yield from axes_findings(motion, rates)
@@ -294,7 +293,6 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
 def _not_checked(
     motion: Motion, rates: Mapping[str, Array], stated: OrientationSettings
 ) -> Iterator[Finding]:
-    """Report the checks that this drive or its signals do not allow."""
     left: list[str] = []
     turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if not turning:

@@ -144,7 +144,6 @@ def _lost(shares: Mapping[str, float | None]) -> list[str]:
 
 
 def _announced(traffic: Sequence[Traffic]) -> dict[int, int]:
-    """Return the J1939 transport announcements on all channels, see `announced_messages`."""
     found: dict[int, int] = {}
     for one in traffic:
         ids = np.full(len(one), one.can_id, np.uint32)
@@ -176,7 +175,6 @@ def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None
 def _notes(
     recording: GatheredFrames, candidates: Sequence[SeenSignal], databases: Mapping[str, Database]
 ) -> Iterator[str]:
-    """Yield the notes about the recording for the head of the file."""
     if not recording.frames:
         yield "No recording was given: the proposal uses names and units only and is unsure."
         return

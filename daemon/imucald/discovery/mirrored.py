@@ -69,7 +69,6 @@ def doubt_both_sensors(choices: Sequence[Choice], contradiction: str) -> None:
 
 
 def _exchange_wheels(wheels: Choice | None) -> None:
-    """Exchange left and right wheels after the accelerometer was reversed."""
     if wheels is not None and wheels.doubt == EXCHANGED:
         wheels.doubt = ""
     elif wheels is not None and BY_TURNS in wheels.evidence:

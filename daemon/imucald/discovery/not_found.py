@@ -58,7 +58,6 @@ def _why(
     seen: Mapping[str, SeenSignal],
     announced: Mapping[int, int],
 ) -> str:
-    """Return the reason why a signal with the name of a quantity was not used."""
     path = f"{message.name}.{name}"
     if path in seen:
         return f"{path} {_why_not_chosen(quantity, seen[path])}"
@@ -88,7 +87,6 @@ def _why(
 
 
 def _why_not_chosen(quantity: str, signal: SeenSignal) -> str:
-    """Return the reason why a signal that came with values was not chosen."""
     if signal.is_constant:
         return "never changes"
     if quantity == TEMPERATURE.key and signal.states("temperature"):

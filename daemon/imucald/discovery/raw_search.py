@@ -19,16 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
-from imucald.can.dbc.message import Message, Signal
-from imucald.config_check.motion import Motion, bridged, change_of, smooth
+from imucald.can.dbc.message import ByteOrder, Message, Signal
+from imucald.config_check.motion import Motion, change_of
 from imucald.config_check.relation import Relation, relation
 from imucald.config_check.response import response
 from imucald.core.arrays import Array
-from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.candidates import MessageTraffic, SeenSignal, candidates_of
 from imucald.discovery.evidence import SAME_MOTION
 from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, Proposed
 from imucald.discovery.recording import Traffic
-from imucald.motion.ticks import TICK_RATE
 
 MIN_FRAMES = 200
 MIN_LEVELS = 40
@@ -250,12 +249,11 @@ def _field(one: Traffic, places: tuple[int, ...], ticks: int, several: bool) -> 
     if len(places) == 2 and len(np.unique(data[:, places[1]])) < MIN_LEVELS:
         return None  # no data in the low byte: the field has one byte
     for masked in range(MAX_MASKED + 1 if len(places) == 2 else 1):
-        mask = 0xFF >> masked
-        values = data[:, places[0]] & mask
+        values = data[:, places[0]] & 0xFF >> masked
         if len(places) == 2:
             values = values * 256 + data[:, places[1]]
         if _is_smooth(one.t, values):
-            return _candidate(one, places, mask, values.astype(np.float64), ticks, several)
+            return _candidate(one, places, masked, ticks, several)
     return None
 
 
@@ -277,33 +275,22 @@ def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
 
 
 def _candidate(
-    one: Traffic, places: tuple[int, ...], mask: int, values: NDArray[np.float64], ticks: int,
-    several: bool,
-) -> SeenSignal:  # fmt: skip
-    index = np.minimum((one.t * TICK_RATE).astype(np.int64), ticks - 1)
-    count = np.bincount(index, minlength=ticks)
-    rows = np.flatnonzero(count)
-    means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
-    x = bridged(ticks, rows, means)
-    upper = f"data[{places[0]}]" if mask == 0xFF else f"(data[{places[0]}] & {mask})"
-    value = upper if len(places) == 1 else f"{upper} * 256 + data[{places[1]}]"
+    one: Traffic, places: tuple[int, ...], masked: int, ticks: int, several: bool
+) -> SeenSignal | None:
+    """Return the field at these bytes, the upper one first, without its `masked` upper bits."""
+    is_big = places == tuple(sorted(places))
+    start = 8 * places[0] + 7 - masked if is_big else 8 * places[-1]
+    order: ByteOrder = "big_endian" if is_big else "little_endian"
+    signal = Signal(f"bytes_{'_'.join(map(str, places))}", start, 8 * len(places) - masked, order)
     number = one.can_id & CAN_EFF_MASK
-    signal = Signal(f"bytes_{'_'.join(map(str, places))}", 0, 8 * len(places))
+    message = Message(f"0x{number:X}", one.can_id, one.data.shape[1], {signal.name: signal})
+    mask = 0xFF >> masked
+    upper = f"(data[{places[0]}] & {mask})" if masked else f"data[{places[0]}]"
+    value = upper if len(places) == 1 else f"{upper} * 256 + data[{places[1]}]"
     raw = {"id": number, "value": value}
     if one.can_id & CAN_EFF_FLAG and number < 0x800:
         raw["extended"] = True
-    return SeenSignal(
-        message=Message(f"0x{number:X}", one.can_id, 8, {signal.name: signal}),
-        signal=signal,
-        channel=one.channel,
-        x=x,
-        smooth=smooth(x),
-        cycle=float(np.median(np.diff(one.t))),
-        levels=(),
-        held=None,
-        unavailable=(),
-        least=float(values.min()),
-        largest=float(values.max()),
-        raw=raw,
-        own_channel=one.channel if several else None,
-    )
+    traffic = MessageTraffic(message, one.channel, one.t, one.data, one.length)
+    for found in candidates_of(traffic, ticks):
+        return replace(found, raw=raw, own_channel=one.channel if several else None)
+    return None

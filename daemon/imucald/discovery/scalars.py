@@ -218,7 +218,6 @@ def find_scalar(
 
 
 def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
-    """Sort matches: fitting units first, then stated units, then the strongest relation."""
     return sorted(
         matches,
         key=lambda m: (

@@ -113,7 +113,6 @@ def _sources(quantity: str, sources: Mapping[str, Proposed], indent: str) -> Ite
 
 
 def _flow(value: Any) -> str:
-    """Format a value in YAML's flow style."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k}: {_of_key(k, v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):

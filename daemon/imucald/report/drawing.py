@@ -138,7 +138,6 @@ def axes_drawing() -> str:
 
 
 def _sheet(views: Sequence[str], lines: Sequence[str], title: str) -> str:
-    """Return an SVG with the views side by side and text lines below."""
     width = VIEW_WIDTH * len(views)
     wrapped = [part for line in lines for part in _wrapped(line, 118)]
     height = VIEW_HEIGHT + 20.0 * len(wrapped) + (8.0 if wrapped else 0.0)

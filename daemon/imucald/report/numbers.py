@@ -84,7 +84,6 @@ def size_text(key: str, p: Estimated) -> str:
 
 
 def _familiar(key: str, p: Estimated) -> tuple[float, str]:
-    """Return the factor to a familiar unit, and the name of this unit."""
     if key in PLAIN_KEYS:
         return 1.0, ""
     if key in TIMES or (p.unit == "s" and abs(p.value) >= LONG_S):

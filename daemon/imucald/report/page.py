@@ -149,7 +149,6 @@ def _size(x: float) -> float:
 
 
 def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Return title, value and meaning of each number in the summary of the diagnosis."""
     figures = []
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
     if rows and diagnosis.causes and diagnosis.gain.was_fitted:
@@ -167,7 +166,6 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the rows of the table of signals, with the widths of their bars in per cent."""
     rows = []
     for row, s in zip(words.signal_rows(diagnosis), diagnosis.signals.values(), strict=True):
         sizes = {"before": s.rms_before, "after": s.rms_after, "floor": s.noise_floor}

@@ -75,8 +75,6 @@ def _picture(
 
 @dataclass(frozen=True)
 class _Curve:
-    """The prediction of one model, and its line style."""
-
     name: str
     predicted: Array
     density: Array

@@ -134,7 +134,6 @@ def _between(axis: Axis, low: float, high: float) -> str:
 
 
 def _label(drawn: Artist) -> str:
-    """Return the legend label of a drawn object; "" if it has none."""
     label = str(drawn.get_label())
     return "" if label.startswith("_") else label
 
@@ -204,7 +203,6 @@ def _where(axes: Axes, x: float) -> str:
 
 
 def _named(axis: Axis) -> tuple[str, str]:
-    """Return name and unit of an axis, from its label `name [unit]`."""
     return _parts(axis.get_label_text())
 
 

@@ -104,7 +104,6 @@ def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, st
 
 
 def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
-    """Return the successive states with their start and end [s]."""
     found: list[tuple[MountState, float, float]] = []
     before = 0.0
     for moment in history.moments:
