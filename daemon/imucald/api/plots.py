@@ -16,9 +16,6 @@ from imucald.mount.mount_words import SD_95
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MAX_POINTS = 20_000
-"""Largest number of points of a line. A screen has fewer pixels."""
-
 
 class Drawn(Protocol):
     """The attributes of a drive that the plots need."""
@@ -65,7 +62,7 @@ class DrivePlots:
                 f"there is no table {table!r} here; there are: {', '.join(self._drive.tables)}"
             )
         ax = _axes(ax)
-        every = max(1, len(found) // MAX_POINTS)
+        every = max(1, len(found) // 20_000)  # a screen has fewer pixels
         for column in found.columns:
             if column.kind == "float" and column.name != "t_s":
                 values = found[column.name][::every]

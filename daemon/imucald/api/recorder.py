@@ -36,8 +36,6 @@ BLOCK_ROWS = 1000
 """When the history has this many new rows, they are moved to an array of numbers."""
 SHIFT = "shift"
 """Kind of event: the sensor was moved."""
-EVIDENCE = "evidence"
-"""Kind of event: a change of the mount that lies within its own 95 % interval."""
 LATEST_US = 2**62
 """Limit of times of day [us], so that a damaged time stamp cannot overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
@@ -150,7 +148,7 @@ class Recorder:
         turns = np.full((3, len(rows)), math.nan)
         rows_of_shifts = [i for i, kind in enumerate(kinds) if kind == SHIFT]
         for i, shift in zip(rows_of_shifts, self._shifts, strict=False):  # the last may be missing
-            kinds[i], texts[i] = SHIFT if is_move(shift) else EVIDENCE, moved_words(shift)
+            kinds[i], texts[i] = SHIFT if is_move(shift) else "evidence", moved_words(shift)
             if shift["turn_deg"]:
                 turns[:, i] = shift["turn_deg"]
         t = np.array(times, dtype=float)

@@ -24,7 +24,6 @@ from imucald.runtime.consumers import TravelConsumer
 from imucald.runtime.timebase import TimeBase
 from imucald.travel_direction.direction import Step, TravelDirection
 
-STEPS = "steps"
 _ANGLES = (
     "heading_deg", "compass_deg", "alternative_deg", "published_deg", "tilt_deg",
     "correlation_deg", "deviation_deg",
@@ -110,7 +109,7 @@ def walk(
             "frames": frames,
             "track": track,
         },
-        tables={STEPS: _table(track)},
+        tables={"steps": _table(track)},
     )
 
 

@@ -15,7 +15,6 @@ DEFAULT_MINUTES = 6.0
 """Length of the drive [min]. All angles converge during this drive. The user waits about fifteen
 seconds."""
 QUICK_MINUTES = 2.5
-LIVE_MINUTES = 30.0
 FASTEST = 20.0
 """Fastest speed, as a multiple of real time. A busy machine cannot reach it."""
 MAX_MINUTES = 120.0
@@ -89,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
         if not 0.1 <= options.speed <= FASTEST:
             raise ConfigError(f"--speed must be between 0.1 and {FASTEST:g}")
-        minutes = options.minutes or LIVE_MINUTES
+        minutes = options.minutes or 30.0
         bus = options.interface, options.channel, options.speed
         run_live(options.seed, minutes, options.mount, *bus, options.web)
         return 0

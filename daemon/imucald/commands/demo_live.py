@@ -40,7 +40,6 @@ START_S = 10.0
 """Longest time until the daemon's socket must answer [s]."""
 AHEAD_S = 0.002
 """Frames due within this time are sent at once [s], because shorter sleeps are not reliable."""
-CHANNELS = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketcan": "vcan0"}
 
 
 class SimulatedBus:
@@ -112,7 +111,8 @@ def run_live(
             "--speed needs the virtual bus (leave --interface out): on other buses, frames "
             "get the time at which they arrive"
         )
-    channel = channel or CHANNELS.get(interface, "")
+    usual = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketcan": "vcan0"}
+    channel = channel or usual.get(interface, "")
     note = f"simulated car (seed {seed}) on {interface} {channel}"
     note += f", {speed:g} times real time" if speed != 1.0 else ""
     with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder:

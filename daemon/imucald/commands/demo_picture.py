@@ -34,7 +34,6 @@ from imucald.mount.mount_words import (
     steep_note,
 )
 
-COLUMNS = 80
 HISTORY = 24
 """Width of the history of an angle's uncertainty [columns]."""
 BLOCKS = " ▁▂▃▄▅▆▇█"
@@ -43,8 +42,6 @@ WIDEST_DEG, NARROWEST_DEG = 12.0, 0.25
 scale between them is logarithmic."""
 FASTEST = 24.0
 """Fastest speed on a terminal, as a multiple of real time, so that the user can follow."""
-FRAME_S = 0.1
-"""Period of drawing the picture [s of real time]."""
 LINE_S = 15.0
 """Period of plain lines [s of driving]."""
 _STYLES = {
@@ -78,7 +75,7 @@ class Picture:
         height never changes."""
         estimate = demo.estimate()
         reports = [f"waiting for  {who}: {text}" for who, text in reasons(estimate.waiting_for)]
-        waiting = [line for text in reports for line in textwrap.wrap(text, COLUMNS)]
+        waiting = [line for text in reports for line in textwrap.wrap(text, 80)]
         if steady:
             waiting += [""] * (len(ANGLES) - len(waiting))
         return Group(
@@ -231,7 +228,7 @@ class LiveView:
         ahead = demo.now / FASTEST - (now - self._began)
         if ahead > 0.0:
             time.sleep(ahead)
-        if now - self._drawn >= FRAME_S or demo.now >= demo.drive.duration_s:
+        if now - self._drawn >= 0.1 or demo.now >= demo.drive.duration_s:
             self._drawn = now
             self._live.update(self._picture.draw(demo), refresh=True)
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 SHOWN_CANDIDATES = 12
 SHOWN_STRUCTURE = 8
 SHOWN_NOTES = 12
-INDENT = (0, 0, 0, 2)
 
 COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold magenta",
            "nothing": "bold green"}  # fmt: skip
@@ -85,7 +84,7 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
         *filter(None, [card.evidence]),
         *(f"against it: {x}" for x in card.against),
     ):
-        console.print(Padding(text, INDENT))
+        console.print(Padding(text, (0, 0, 0, 2)))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
     from imucald.discovery import GatheredFrames, Proposal
 
-SOCKETCAN = "socketcan"
 LISTEN_S = 120.0
 """Default listening time [s]: a short drive with a stop, a start and some bends."""
 
@@ -185,7 +184,7 @@ def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> G
 
     interface, channel = options.interface, options.channel
     if interface is None or channel is None:  # a single name is an interface of the kernel
-        interface, channel = SOCKETCAN, interface or channel
+        interface, channel = "socketcan", interface or channel
     fd = any(m.is_fd for d in databases.values() for m in d.messages.values())
     recording = GatheredFrames()
     listen(

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from imucald.core.errors import ConfigError
 
-UNIT = "imucald@.service"
 FILES = {
-    UNIT: "lib/systemd/system/imucald@.service",
+    "imucald@.service": "lib/systemd/system/imucald@.service",
     "imucald-again@.service": "lib/systemd/system/imucald-again@.service",
     "imucald-metrics.service": "lib/systemd/system/imucald-metrics.service",
     "imucald-metrics.timer": "lib/systemd/system/imucald-metrics.timer",

@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from imucald.can.columns import FrameColumns
     from imucald.can.link.link import Frame, Link
 
-BATCH = 10_000
-"""Number of frames that are collected before they are passed on."""
-
 
 def listen(link: Link, seconds: float, feed: Callable[[FrameColumns], None]) -> None:
     """Pass on the frames that an open link receives in `seconds` [s], then close the link."""
@@ -30,7 +27,7 @@ def listen(link: Link, seconds: float, feed: Callable[[FrameColumns], None]) -> 
 
         while (passed := time.monotonic() - began) < seconds:
             waiting += link.receive(min(0.1, seconds - passed))
-            if len(waiting) >= BATCH:
+            if len(waiting) >= 10_000:
                 pass_on()
             tick(passed)
         if waiting:

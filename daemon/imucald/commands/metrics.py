@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Callable
 
-TEXTFILE_MODE = 0o644
-"""File mode of the text file. The collector of node_exporter runs as another user."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `metrics`."""
@@ -98,7 +95,7 @@ def _write(path: Path, text: str) -> None:
                 "so nothing is written; name a file, or leave --textfile out to print the "
                 "metrics"
             )
-        write_file(path, text.encode(), TEXTFILE_MODE)
+        write_file(path, text.encode(), 0o644)  # node_exporter runs as another user
     except OSError as error:
         raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
 

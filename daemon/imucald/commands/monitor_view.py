@@ -23,11 +23,7 @@ BESIDE_INPUTS = 66
 CLOCK_WIDTH = 11
 """Width of the column of times with its gap [columns]."""
 LEAST_EVENTS = 3
-LONG_BAR = 60
-"""Width of a bar [columns] if there is enough space."""
 FACTS = ("now", "losses", "rejected", "process")
-LEFT_OUT = "not used"
-"""Title of the row for unused signals. The row is shown only if it has content."""
 KIND_STYLES = {
     "alarm": "red",
     "fault": "red",
@@ -48,10 +44,10 @@ def monitor_picture(
     """
     width, height = console.size
     is_grey = is_stale(status, trouble)
-    mount = list(mount_parts(status, BAR if width < BESIDE else LONG_BAR, is_grey))
+    mount = list(mount_parts(status, BAR if width < BESIDE else 60, is_grey))
     top: list[RenderableType] = [headline(status, trouble), _padded(mount)]
     inputs: RenderableType = inputs_table(status, is_grey)
-    wanted = [*FACTS, LEFT_OUT] if left_out_words(status["details"]) else [*FACTS]
+    wanted = [*FACTS, "not used"] if left_out_words(status["details"]) else [*FACTS]
     if trouble:  # the last status says nothing about the present
         wanted.remove("now")
     below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]

@@ -28,11 +28,6 @@ ABOUT = {
     "larger than --within, because it adds the effect of load and springs.",
 }
 """What each order does, for the help text."""
-WHO = (
-    " Orders are accepted from root and from the user of the daemon. Log and events "
-    "show each order and the user who gave the order. Exit status: 0 done, 1 refused "
-    "(the text says why), 3 no daemon runs, 8 the daemon does not answer."
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "status socket of the daemon; the control socket in the same folder receives the order",
     )
     parser.add_argument("--all", action="store_true", help="every daemon that runs here")
-    parser.epilog = ABOUT[order] + WHO
+    parser.epilog = ABOUT[order] + (
+        " Orders are accepted from root and from the user of the daemon. Log and events "
+        "show each order and the user who gave the order. Exit status: 0 done, 1 refused "
+        "(the text says why), 3 no daemon runs, 8 the daemon does not answer."
+    )
     if order == "set-mount":
         parser.epilog += "\n\n  imucald set-mount 14.1 28.5 -10.5 --within 1 --hold"
         _add_mount(parser)

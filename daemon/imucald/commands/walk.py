@@ -17,9 +17,6 @@ from imucald.commands.options import (
 )
 from imucald.core.text import counted
 
-SHOWN = 20
-"""Largest number of lines of the table. If there are more steps, some steps are not shown."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `walk`."""
@@ -66,7 +63,7 @@ def _table(result: Mapping[str, Any]) -> None:
     table = Table(box=None, pad_edge=False)
     for name in ("time s", "heading", "± 95 %", "compass", "alternative", "published", "chosen"):
         table.add_column(name, justify="right")
-    every = max(1, math.ceil(len(result["track"]) / SHOWN))
+    every = max(1, math.ceil(len(result["track"]) / 20))
     for step in result["track"][::every]:
         keys = ("heading_deg", "compass_deg", "alternative_deg", "published_deg")
         cells = ["-" if step[k] is None else f"{step[k]:.0f}" for k in keys]

@@ -83,13 +83,6 @@ def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple
                 yield place, f"has no effect {why}"
 
 
-LEANING = (
-    "z is missing: a sensor of two axes must be mounted level. Configure its z axis; or, if "
-    "the sensors are level, configure an accelerometer of two axes, or 'estimator: "
-    "published' with 'method_a: {level: false}'"
-)
-
-
 def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     """Yield the places of keys with a condition that no sensor or sample can meet, with the
     requirement for the key."""
@@ -101,7 +94,12 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     if not _is_level(config):
         for i, sensor in enumerate(signals.parallel):
             if sensor.z is None:
-                yield ("signals", "parallel", i), LEANING
+                text = (
+                    "z is missing: a sensor of two axes must be mounted level. Configure its z "
+                    "axis; or, if the sensors are level, configure an accelerometer of two axes, "
+                    "or 'estimator: published' with 'method_a: {level: false}'"
+                )
+                yield ("signals", "parallel", i), text
     if calibration.estimator != "published":
         return
     has_speed = signals.speed is not None or signals.wheel_speeds is not None

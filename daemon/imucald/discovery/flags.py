@@ -34,7 +34,6 @@ CLEAR_MATTHEWS = 0.6
 LEVER_BITS = 8
 """Largest length of a gear lever's signal [bits]. A gear lever has fewer than 256 positions."""
 _LEVER_WORDS = frozenset(("gear", "gang", "lever", "selector", "prnd", "getriebe", "reverse"))
-_REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
 def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
@@ -111,7 +110,7 @@ def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
 def _names_reverse(signal: Signal) -> float | None:
     """Return the physical value that the value table calls reverse, or None."""
     for raw, name in signal.choices.items():
-        if name.strip().lower() in _REVERSE_NAMES:
+        if name.strip().lower() in ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts"):
             return float(raw * signal.scale + signal.offset)
     return None
 

@@ -26,25 +26,6 @@ GAIN = 1.5
 """Largest accepted gain ratio. It is between 1 (right unit) and 2 (wrong unit by a factor of
 two)."""
 
-REVERSED = (
-    "this sensor seems to output minus the specific force, so 'sign: -1' is set: without it, "
-    "the sensor and the course turn in opposite directions. Check it at rest: if the axis "
-    "that points up shows +1 g without 'sign: -1', remove 'sign: -1'"
-)
-PERHAPS_REVERSED = (
-    "{heading} turns counter-clockwise compared with this sensor. If {heading} is a compass "
-    "course, the sensor outputs minus the specific force: set 'sign: -1' on all three axes"
-)
-ONLY_AS_TURNED = (
-    "{heading} is clockwise only with 'sign: -1' on the gyroscope, and that sign is "
-    "uncertain. If the gyroscope needs no 'sign: -1', this sensor outputs minus the specific "
-    "force: set 'sign: -1' on all three axes"
-)
-TURNED_TO_FIT = (
-    "its signs are set to fit the accelerometer, but {heading} turns counter-clockwise "
-    "compared with both: perhaps an axis of the accelerometer has the wrong sign"
-)
-
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
@@ -142,9 +123,17 @@ def doubt_what_is_turned(
     if not all(source.sign < 0 for source in gyroscope.sources.values()):
         return
     if fit.is_reversed or fit.relation.sign < 0:
-        gyroscope.doubt = gyroscope.doubt or TURNED_TO_FIT.format(heading=fit.candidate.path)
+        gyroscope.doubt = gyroscope.doubt or (
+            f"its signs are set to fit the accelerometer, but {fit.candidate.path} turns "
+            "counter-clockwise compared with both: perhaps an axis of the accelerometer "
+            "has the wrong sign"
+        )
     elif gyroscope.doubt:
-        accelerometer.doubt = ONLY_AS_TURNED.format(heading=fit.candidate.path)
+        accelerometer.doubt = (
+            f"{fit.candidate.path} is clockwise only with 'sign: -1' on the gyroscope, "
+            "and that sign is uncertain. If the gyroscope needs no 'sign: -1', this "
+            "sensor outputs minus the specific force: set 'sign: -1' on all three axes"
+        )
 
 
 def hold_against_heading(
@@ -160,12 +149,20 @@ def hold_against_heading(
         return fit
     known.shows_left = fit.is_named
     if not fit.is_like_a_compass:
-        accelerometer.doubt = PERHAPS_REVERSED.format(heading=fit.candidate.path)
+        accelerometer.doubt = (
+            f"{fit.candidate.path} turns counter-clockwise compared with this sensor. If "
+            f"{fit.candidate.path} is a compass course, the sensor outputs minus the "
+            "specific force: set 'sign: -1' on all three axes"
+        )
         return fit
     accelerometer.sources = {
         axis: replace(source, sign=-source.sign) for axis, source in accelerometer.sources.items()
     }
-    accelerometer.doubt = REVERSED
+    accelerometer.doubt = (
+        "this sensor seems to output minus the specific force, so 'sign: -1' is set: without it, "
+        "the sensor and the course turn in opposite directions. Check it at rest: if the axis "
+        "that points up shows +1 g without 'sign: -1', remove 'sign: -1'"
+    )
     known.motion = known.motion.turned("accel", -np.eye(3))
     mirrored = replace(fit.relation, correlation=-fit.relation.correlation)
     return replace(fit, relation=mirrored, is_reversed=True)

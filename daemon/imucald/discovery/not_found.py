@@ -13,9 +13,6 @@ from imucald.core.samples import QUANTITIES, TEMPERATURE
 from imucald.discovery.candidates import MessageTraffic, SeenSignal, misses_sign
 from imucald.discovery.names import named_so
 
-LOOKED_FOR = tuple(row.key for row in QUANTITIES.values() if row.channel != "mag")
-"""The quantities to report. A magnetometer is rare, so it is not reported."""
-
 
 def not_found(
     found: Set[str],
@@ -32,8 +29,8 @@ def not_found(
     """
     seen = {c.path: c for c in candidates}
     reasons = {}
-    for quantity in LOOKED_FOR:
-        if quantity not in found:
+    for quantity in (row.key for row in QUANTITIES.values()):
+        if quantity not in found and quantity != "magnetometer":  # which is rare
             named = _named(quantity, databases)
             why = (
                 _why(quantity, message, name, messages, seen, announced)

@@ -36,7 +36,7 @@ COUNTER_BITS = range(2, 17)
 ID_BYTES = (0, 2, 4, 1)
 """Numbers of identifier bytes at the start of a checksum's input, the most frequent first."""
 
-OTHER_IDS = "; other ids and modes give the same checksum, so check the id in the data sheet"
+
 _NAMES = re.compile(r"crc|check|chk|cks|pruef|bcc", re.IGNORECASE)
 
 Columns = NDArray[np.uint8]
@@ -147,8 +147,11 @@ def _e2e(message: Message, data: Columns) -> Iterator[tuple[dict[str, Any], str]
                 continue
             if found is not None and (share := _share(spec(**found), data)) >= FITS:
                 settings = {"kind": kind, **found, **({"offset": offset} if offset else {})}
-                words = OTHER_IDS if found.get("data_id_mode") == "low" else ""
-                yield settings, f"fits {_percent(share)} of {len(data)} frames{words}"
+                text = f"fits {_percent(share)} of {len(data)} frames"
+                if found.get("data_id_mode") == "low":
+                    text += "; other ids and modes give the same checksum, so check the id in the "
+                    text += "data sheet"
+                yield settings, text
 
 
 def _e2e_spec(

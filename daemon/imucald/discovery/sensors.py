@@ -61,17 +61,6 @@ from imucald.inputs.units import is_unit
 MAX_TRIADS = 6
 """Largest number of triads (three signals x, y, z) that are compared with every speed, if no unit
 shows which triad is the accelerometer."""
-GYRO_COUNTS = (
-    "the signal is in raw counts, since the database states no scale; the recording fits 'unit: {}'"
-)
-RAW_COUNTS = (
-    "the accelerometer is in raw counts, since the database states no scale; 1 g is "
-    "{size:.0f} counts: 'unit: g/{one:.6g}'"
-)
-ANOTHER_ONE = (
-    "{} has an accelerometer too: the accelerometer and the gyroscope must be of the sensor to "
-    "calibrate"
-)
 BY_PLACES = "the axes are in the order of their bits"
 
 
@@ -137,10 +126,16 @@ class Sensors:
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
         if rivals and not accelerometer.doubt:
-            accelerometer.doubt = ANOTHER_ONE.format(rivals[0].messages[0])
+            accelerometer.doubt = (
+                f"{rivals[0].messages[0]} has an accelerometer too: the accelerometer and "
+                "the gyroscope must be of the sensor to calibrate"
+            )
         if best.unit.is_counts:
             one = GRAVITY / best.unit.factor
-            accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
+            accelerometer.doubt = (
+                "the accelerometer is in raw counts, since the database states no scale; 1 g is "
+                f"{one * best.size / GRAVITY:.0f} counts: 'unit: g/{one:.6g}'"
+            )
         elif not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = (
                 "the three signals form a vector of 1 g, but no unit "
@@ -346,7 +341,10 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
         if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
             counts = in_counts("angular_rate", low, high)
             others = f" (and {', '.join(counts.others)})" if counts.others else ""
-            return counts, GYRO_COUNTS.format(counts.name) + others
+            return counts, (
+                "the signal is in raw counts, since the database states no scale; the recording "
+                f"fits 'unit: {counts.name}'{others}"
+            )
         return (
             (unit, "its values are too large or too small for every unit")
             if fitting is None

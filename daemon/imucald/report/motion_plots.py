@@ -20,7 +20,6 @@ DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", 
 """Colour map: blue for negative values, vermilion for positive values. The colours are
 distinguishable with any colour blindness."""
 MAP = (4.7, 3.5)
-STRETCH_S = 60.0
 SPEED_BINS, TURN_BINS = 14, 12
 CELL_ROWS = 5
 """Smallest number of rows in a cell of a map: two and a half seconds."""
@@ -56,7 +55,7 @@ def telling_rows(motion: DriveMotion) -> slice:
     with a correction are considered."""
     known = np.isfinite(motion.corrected[:, 0])
     worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
-    return richest_segment(motion.t, np.where(known, worth + 1e-9, 0.0), STRETCH_S)
+    return richest_segment(motion.t, np.where(known, worth + 1e-9, 0.0), 60.0)
 
 
 def scatter_picture(motion: DriveMotion, axis: int) -> str:

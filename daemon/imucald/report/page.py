@@ -25,13 +25,10 @@ LIBRARIES = ("jinja2", "matplotlib")
 
 MAX_PICTURED = 14
 """Largest number of signals with pictures. The limit keeps the page small enough for an e-mail."""
-SEPARATORS = (".", "_")
-"""Characters after which a long key may be broken."""
 MAX_ROWS = 200
 """Largest number of rows in a table or list."""
 PLACE = '<nav class="contents" aria-label="Contents"></nav>'
 """Placeholder for the contents list in a template."""
-HEADING = re.compile(r"<h2>(.*?)</h2>", re.S)
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def with_contents(body: str) -> str:
         links.append(f'<li><a href="#{name}">{title}</a></li>')
         return f'<h2 id="{name}">{title}</h2>'
 
-    text = HEADING.sub(anchored, body)
+    text = re.sub(r"<h2>(.*?)</h2>", anchored, body, flags=re.S)
     listed = "\n".join(links)
     filled = PLACE.replace("></nav>", f">\n<ul>\n{listed}\n</ul>\n</nav>")
     return text.replace(PLACE, filled, 1)
@@ -139,7 +136,7 @@ def _breakable(key: str) -> str:
     from markupsafe import Markup, escape  # noqa: PLC0415 - an extra
 
     return Markup("").join(
-        escape(part) + (Markup("<wbr>") if part in SEPARATORS else "")
+        escape(part) + (Markup("<wbr>") if part in (".", "_") else "")
         for part in re.split(r"([._])", key)
     )
 

@@ -27,11 +27,6 @@ BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
 """Colours: vermilion, blue, nearly black, grey. These colours are distinguishable with any colour
 blindness (Okabe and Ito)."""
 
-TIME_BINS = 420
-SPECTRUM_BINS = 160
-DRIVER_BINS = 24
-DRIVER_LEAST = 12
-SEGMENT_S = 45.0
 MINUTES_FROM_S = 300.0
 """Time axes above this length are in minutes [s]."""
 DECADES = 6
@@ -102,7 +97,7 @@ def is_extended(p: SignalPicture) -> bool:
 def _draw_time(axes: Axes, p: SignalPicture) -> None:
     factor = _time_axis(axes, p.t)
     for order, curve in enumerate(_curves(p), 1):
-        band = envelope(p.t, p.measured - curve.predicted, TIME_BINS)
+        band = envelope(p.t, p.measured - curve.predicted, 420)
         t, colour = factor * band.t, curve.colour
         axes.fill_between(t, band.low, band.high, color=colour, alpha=curve.shade, lw=0,
                           zorder=order)  # fmt: skip
@@ -116,7 +111,7 @@ def _draw_time(axes: Axes, p: SignalPicture) -> None:
 
 def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     before, after = p.measured - p.predicted_before, p.measured - p.predicted_after
-    rows = clearest_segment(p.t, before, after, SEGMENT_S)
+    rows = clearest_segment(p.t, before, after, 45.0)
     t = p.t[rows]
     axes.plot(t, p.measured[rows], color=MEASURED, lw=1.0, label="measured")
     known = np.isfinite(p.measured[rows])
@@ -133,7 +128,7 @@ def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
 
 def _draw_driver(axes: Axes, p: SignalPicture) -> None:
     for curve in _curves(p):
-        line = trend(p.driver, p.measured - curve.predicted, DRIVER_BINS, DRIVER_LEAST)
+        line = trend(p.driver, p.measured - curve.predicted, 24, 12)
         axes.fill_between(line.x, line.low, line.high, color=curve.colour, alpha=0.2, lw=0)
         axes.plot(line.x, line.mean, color=curve.colour, lw=1.2, marker=curve.mark, ms=3,
                   label=curve.name)  # fmt: skip
@@ -145,7 +140,7 @@ def _draw_driver(axes: Axes, p: SignalPicture) -> None:
 
 def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
     for curve in _curves(p):
-        line = log_bins(p.frequency, curve.density, SPECTRUM_BINS)
+        line = log_bins(p.frequency, curve.density, 160)
         axes.plot(*line, color=curve.colour, lw=1.2, ls=curve.dashes,
                   label=curve.name or "residual")  # fmt: skip
     if any(len(line.get_xdata()) for line in axes.lines):  # type: ignore[arg-type]

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 POINTS_PER_INCH = 72.0
 FIELD_PT = 7.0
 """Width of an invisible field with one title [pt]: about the accuracy of pointing by hand."""
-LABEL = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", re.S)
-CLOCK = "min:s"
-"""Unit in the label of a time axis whose tick texts are minutes and seconds."""
 
 
 def pointed_values(figure: Figure) -> str:
@@ -197,7 +194,7 @@ def _where(axes: Axes, x: float) -> str:
     together = axes.get_shared_x_axes().get_siblings(axes)
     axis = next((a.xaxis for a in together if a.get_xlabel()), axes.xaxis)
     name, unit = _named(axis)
-    if unit == CLOCK:
+    if unit == "min:s":  # its tick texts are minutes and seconds
         return f"{name} {axis.get_major_formatter()(x, None)}"
     return f"{name} {number(x)} {unit}".strip()
 
@@ -207,5 +204,5 @@ def _named(axis: Axis) -> tuple[str, str]:
 
 
 def _parts(label: str) -> tuple[str, str]:
-    match = LABEL.fullmatch(label)
+    match = re.fullmatch(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", label, re.S)
     return (match["name"], match["unit"] or "") if match else (label, "")

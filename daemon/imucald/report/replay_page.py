@@ -37,7 +37,6 @@ from imucald.runtime.drive_events import (
     state_changes,
 )
 
-SHOWN_PROBLEMS = 20
 SNAPSHOT_S = 1.0
 """Period of snapshots in the history [s]."""
 
@@ -104,7 +103,7 @@ def replay_page(
             arrivals=draw.arrivals_picture(history),
             gaps=[clock(t) for t in history.gaps],
             rejected=sorted(result["frames"]["rejected"].items(), key=lambda row: -row[1]),
-            problems=problems[:SHOWN_PROBLEMS],
+            problems=problems[:20],
         )
     )
 

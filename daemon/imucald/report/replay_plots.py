@@ -40,9 +40,6 @@ KIND_COLOURS = dict(
         strict=True,
     )
 )
-OTHER_KIND = "#999999"
-WIDE = (9.6, 5.2)
-TIME_BINS = 240
 LARGEST_DEG = 30.0
 LABEL_SHARE = 0.02
 """Event numbers in a picture would overlap if their distance were less than this share of the
@@ -72,7 +69,7 @@ def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
             _draw_angle(axes, known, angle, events)
         time_axis(parts[-1], history.duration_s)
 
-    return themed(drawn(draw, WIDE, STYLE))
+    return themed(drawn(draw, (9.6, 5.2), STYLE))
 
 
 def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) -> None:
@@ -161,7 +158,7 @@ def arrivals_picture(history: DriveHistory) -> str:
     arrivals, rejected = history.arrivals, history.rejected
     channels = sorted(set(arrivals) | set(rejected))
     duration = max(history.duration_s, 1.0)
-    edges = np.linspace(0.0, duration, TIME_BINS + 1)
+    edges = np.linspace(0.0, duration, 241)
     middle, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
 
     def draw(figure: Figure) -> None:
@@ -203,7 +200,7 @@ def evidence_picture(history: DriveHistory, angle: str) -> str | None:
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
-        colours = [KIND_COLOURS.get(kind, OTHER_KIND) for kind in kinds]
+        colours = [KIND_COLOURS.get(kind, "#999999") for kind in kinds]
         axes.stackplot(t, 100.0 * parts, labels=kinds, colors=colours, lw=0)
         axes.set_ylim(0.0, 100.0)
         axes.set_ylabel(f"{angle} [%]")

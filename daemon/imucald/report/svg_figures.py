@@ -18,15 +18,6 @@ LAYOUT_FONT = "DejaVu Sans"
 """Font for the layout of pictures. The font is part of matplotlib, so the layout is the same on
 every machine. DejaVu Sans is a wide font, so texts in other fonts fit too."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
-METADATA = ("Date", "Creator", "Format", "Type")
-PATH = re.compile(r'( d=")([^"]*)"')
-PLACE = re.compile(r'(?<= )([xy])="([-\d.]+)"')
-NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
-NOT_TURNED = re.compile(r' transform="rotate\(-?0 [^)]*\)"')
-USED_ID = re.compile(r'(?:href="#|url\(#)([^")]*)')
-SOME_ID = re.compile(r' id="([^"]*)"')
-BETWEEN_TAGS = re.compile(r"\n\s*<")
-MARKERS = re.compile(r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}')
 LONG_LINE = 40
 """A path with at least this number of commands is a curve of data, not a marker or letter."""
 
@@ -68,7 +59,8 @@ def drawn(
         FigureCanvasSVG(figure)
         draw(figure)
         out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(out, format="svg", metadata=nothing)
         values = pointed_values(figure)
     return _shortened(out.getvalue()).replace("</svg>", f"{values}</svg>")
 
@@ -78,18 +70,21 @@ def _shortened(svg: str) -> str:
     picture, texts use the fonts of the reader's browser.
     """
     svg = svg[svg.index("<svg") :].replace(f"'{LAYOUT_FONT}'", READERS_FONTS)
-    svg = PATH.sub(lambda m: f'{m[1]}{short_path(m[2])}"', svg)
-    svg = PLACE.sub(lambda m: f'{m[1]}="{_number(m[2], 1)}"', NOT_TURNED.sub("", svg))
-    used = set(USED_ID.findall(svg))  # ids of several pictures on one page would collide
-    svg = SOME_ID.sub(lambda m: m[0] if m[1] in used else "", svg)
-    svg = BETWEEN_TAGS.sub("\n<", svg)
+    svg = re.sub(r'( d=")([^"]*)"', lambda m: f'{m[1]}{short_path(m[2])}"', svg)
+    svg = re.sub(r' transform="rotate\(-?0 [^)]*\)"', "", svg)
+    svg = re.sub(r'(?<= )([xy])="([-\d.]+)"', lambda m: f'{m[1]}="{_number(m[2], 1)}"', svg)
+    # ids of several pictures on one page would collide
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]*)', svg))
+    svg = re.sub(r' id="([^"]*)"', lambda m: m[0] if m[1] in used else "", svg)
+    svg = re.sub(r"\n\s*<", "\n<", svg)
     # Markers in a row that look the same have one style.
-    return MARKERS.sub(lambda m: f"<g {m[1]}>\n{m[0].replace(' ' + m[1], '')}</g>\n", svg)
+    markers = r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}'
+    return re.sub(markers, lambda m: f"<g {m[1]}>\n{m[0].replace(' ' + m[1], '')}</g>\n", svg)
 
 
 def without_name_space(svg: str) -> str:
     """Return the SVG text without its name space, for use within HTML."""
-    return NAME_SPACE.sub("", svg)
+    return re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg)
 
 
 def short_path(path: str) -> str:

@@ -17,8 +17,6 @@ from imucald.core.errors import ImucaldError
 VERSION = 1
 """Version of the description of the tables in a file. New keys may be added to it."""
 UNFINISHED = ".unfinished"
-VEHICLE_AXES = "vehicle: x forward, y left, z up (ISO 8855)"
-SENSOR_AXES = "sensor"
 
 Tables = Mapping[str, tuple[TableColumn, ...]]
 """The columns of each table, by the table's name."""
@@ -48,7 +46,7 @@ class TableWriter(Protocol):
 
 def axes_of(table: str) -> str:
     """Return the axes of the vectors in a table."""
-    return SENSOR_AXES if table.startswith(RAW) else VEHICLE_AXES
+    return "sensor" if table.startswith(RAW) else "vehicle: x forward, y left, z up (ISO 8855)"
 
 
 def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
