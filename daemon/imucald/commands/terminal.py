@@ -115,18 +115,18 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
 
 
 @contextmanager
-def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None] | None]:
+def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
     """Show a bar and the current step. Yields a callback for the share done (0 to 1) and the text
-    of the step, or None."""
+    of the step."""
     with _bar(text, 1.0, quiet, "TaskProgressColumn", "TimeElapsedColumn") as update:
-        yield update and (lambda share, doing: update(share, description=doing or text))
+        yield lambda share, doing: update and update(share, description=doing or text)
 
 
 @contextmanager
 def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
     """Show the elapsed part of a known time. Yields a callback for the elapsed seconds."""
     with _bar(text, seconds, False, "TimeRemainingColumn") as update:
-        yield update or (lambda _: None)
+        yield lambda passed: update and update(passed)
 
 
 def plain_where_needed() -> None:

@@ -17,14 +17,10 @@ from imucald.config_check.motion import Motion, course_rate, shifted
 from imucald.config_check.relation import Relation, relation
 from imucald.config_check.response import DELAYS
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import RELATED, SAME_MOTION, stated_unit
+from imucald.discovery.evidence import GAINS, RELATED, SAME_MOTION, stated_unit
 from imucald.discovery.names import by_unit_and_name, hint
 from imucald.discovery.proposal import Choice, source_of
 from imucald.discovery.reference import KnownMotion
-
-GAIN = 1.5
-"""Largest accepted gain ratio. It is between 1 (right unit) and 2 (wrong unit by a factor of
-two)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +64,7 @@ def fit_heading(motion: Motion, candidates: Sequence[SeenSignal]) -> HeadingFit 
         found = one.relation
         # the delay of a receiver's fixes varies, which is noise in the change of its course
         share = RELATED if one.is_named else SAME_MOTION
-        fitting = found.explained >= share and 1.0 / GAIN < found.gain < GAIN
+        fitting = found.explained >= share and GAINS[0] < found.gain < GAINS[1]
         if found.is_believed and fitting and (best is None or found.z > best.relation.z):
             best = one
     return best
