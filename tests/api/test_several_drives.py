@@ -12,8 +12,7 @@ from replayed_drive import config
 import imucald
 import shuttle
 from imucald import cli
-from imucald.api.between_drives import between_drives
-from imucald.api.drives import names_apart
+from imucald.api.drives import between_drives, names_apart
 
 
 def test_several_logs_are_several_drives(tmp_path):

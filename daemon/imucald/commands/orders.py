@@ -15,7 +15,6 @@ from typing import Any
 from imucald.commands.options import numbers
 from imucald.core.errors import ImucaldError, LinkError
 
-ANGLES = ("roll", "pitch", "yaw")
 ABOUT = {
     "reset": "The learnt and the saved mount are discarded. This cannot be undone. A mount that "
     "the configuration states ('calibration: mount') is used again after the reset.",
@@ -51,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_mount(parser: argparse.ArgumentParser) -> None:
-    for name in ANGLES:
+    for name in ("roll", "pitch", "yaw"):
         parser.add_argument(name, type=float, metavar=name.upper(), help=f"{name} [deg]")
     deviation = parser.add_mutually_exclusive_group(required=True)
     deviation.add_argument(
@@ -81,6 +80,7 @@ def run(options: argparse.Namespace) -> int:
 def _mount(options: argparse.Namespace) -> dict[str, Any]:
     from imucald.config.calibration import KnownMount
     from imucald.core.typed import Document, typed
+    from imucald.mount.estimate import ANGLES
     from imucald.mount.mount_words import SD_95
 
     name, text = ("--std", options.std) if options.within is None else ("--within", options.within)

@@ -177,8 +177,7 @@ def _causes(
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
-    from imucald.api.between_drives import between_drives
-    from imucald.api.drives import DriveSet
+    from imucald.api.drives import DriveSet, between_drives
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
     from imucald.core.errors import LogError

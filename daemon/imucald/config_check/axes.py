@@ -17,8 +17,7 @@ from imucald.config_check.finding import (
 )
 from imucald.config_check.gyro_axes import tilt_findings
 from imucald.config_check.motion import Motion, less
-from imucald.config_check.relation import relation
-from imucald.config_check.response import Response, response
+from imucald.config_check.relation import Response, relation, response
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucald.config_check.motion import Motion, course_rate, shifted
-from imucald.config_check.relation import Relation, relation
-from imucald.config_check.response import DELAYS
+from imucald.config_check.relation import DELAYS, Relation, relation
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import GAINS, RELATED, SAME_MOTION, stated_unit
 from imucald.discovery.names import by_unit_and_name, hint

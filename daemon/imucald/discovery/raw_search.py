@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.dbc.message import ByteOrder, Message, Signal
 from imucald.config_check.motion import Motion, change_of
-from imucald.config_check.relation import Relation, relation
-from imucald.config_check.response import response
+from imucald.config_check.relation import Relation, relation, response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import MessageTraffic, SeenSignal, candidates_of
 from imucald.discovery.evidence import SAME_MOTION

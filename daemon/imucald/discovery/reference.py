@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucald.config_check.motion import Motion, change_of, speed_ratio
-from imucald.config_check.relation import Relation, is_better
-from imucald.config_check.response import response
+from imucald.config_check.relation import Relation, is_better, response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import MEASURED_BITS, SeenSignal
 from imucald.discovery.evidence import (

@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.result import SignalPicture
 from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
 from imucald.report.numbers import unit_text
-from imucald.report.svg_figures import drawn, without_name_space
+from imucald.report.svg_figures import drawn, legend, without_name_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
     Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
@@ -106,7 +105,7 @@ def _draw_time(axes: Axes, p: SignalPicture) -> None:
     _limit(axes, [p.measured - curve.predicted for curve in _curves(p)])
     axes.margins(x=0.005)
     axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
@@ -123,7 +122,7 @@ def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(_clock_text))
     axes.set_xlabel("time [min:s]")
     axes.set_ylabel(f"[{unit_text(p.unit)}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _draw_driver(axes: Axes, p: SignalPicture) -> None:
@@ -135,7 +134,7 @@ def _draw_driver(axes: Axes, p: SignalPicture) -> None:
     axes.axhline(0.0, color=FLOOR, lw=0.7)
     axes.set_xlabel(unit_text(p.driver_name))
     axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
@@ -154,7 +153,7 @@ def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
                 axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"density [({unit_text(p.unit)})²/Hz]")
-    _legend(axes)
+    legend(axes)
 
 
 def _time_axis(axes: Axes, t: Array) -> float:
@@ -204,11 +203,3 @@ def _clock_text(seconds: float, _: object) -> str:
         if rest % 1 == 0
         else f"{sign}{minutes:.0f}:{rest:04.1f}"
     )
-
-
-def _legend(axes: Axes) -> None:
-    """Draw the legend above the axes, in one row. A single curve without a name gets no legend."""
-    lines, _ = axes.get_legend_handles_labels()
-    if lines:
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines),
-                    borderaxespad=0.1, handlelength=2.2, columnspacing=1.4)  # fmt: skip

@@ -55,7 +55,6 @@ def replay_page(
     Raises ImucaldError if a library is missing.
     """
     require_libraries()
-    from imucald.report import motion_plots as beside  # noqa: PLC0415 - loads matplotlib
     from imucald.report import replay_plots as draw  # noqa: PLC0415 - loads matplotlib
 
     motion = history.motion()
@@ -92,12 +91,10 @@ def replay_page(
             convention=CONVENTION,
             mount_picture=draw.mount_picture(history, events) if history.moments else "",
             events=[(e.number, clock(e.event.t), e.event.kind, e.event.text) for e in events],
-            stretch=beside.stretch_picture(motion) if rows.any() else "",
-            scatters=[beside.scatter_picture(motion, axis) for axis in (0, 1)]
-            if rows.any()
-            else [],
+            stretch=draw.stretch_picture(motion) if rows.any() else "",
+            scatters=[draw.scatter_picture(motion, axis) for axis in (0, 1)] if rows.any() else [],
             fits=_fits(motion),
-            maps=[beside.residual_map(motion, axis) for axis in axes],
+            maps=[draw.residual_map(motion, axis) for axis in axes],
             evidence={angle: svg for angle, svg in evidence.items() if svg},
             sources=_sources(result["details"]),
             arrivals=draw.arrivals_picture(history),

@@ -1,4 +1,5 @@
-"""Figures of matplotlib as short SVG text, with the same layout on every machine."""
+"""Figures of matplotlib as short SVG text, with the same layout on every machine; and colours that
+follow the page's light or dark mode."""
 
 from __future__ import annotations
 
@@ -6,13 +7,19 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MultipleLocator
 
+from imucald.core.text import clock
+from imucald.mount.estimate import MountState
 from imucald.report.pointed_values import pointed_values
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LAYOUT_FONT = "DejaVu Sans"
 """Font for the layout of pictures. The font is part of matplotlib, so the layout is the same on
@@ -112,3 +119,52 @@ def _number(text: str, digits: int) -> str:
     """Return a number as text with at most `digits` decimals."""
     short = f"{float(text):.{digits}f}".rstrip("0").rstrip(".")
     return "0" if short in {"-0", ""} else short
+
+
+INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
+STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
+"""Placeholder colours that are used while a figure is drawn. `themed` replaces them by the page's
+colours."""
+THEME: Mapping[str, str] = {
+    INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
+    TRUTH: "--truth", BAD: "--bad",
+    **{colour: f"--{state.name.lower()}" for state, colour in STATE_COLOURS.items()},
+}  # fmt: skip
+THEMED: dict[Any, Any] = {
+    "axes.edgecolor": SOFT, "axes.labelcolor": INK, "xtick.color": SOFT, "ytick.color": SOFT,
+    "text.color": INK, "grid.color": GRID, "figure.facecolor": "none", "axes.facecolor": "none",
+    "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
+}  # fmt: skip
+NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
+"""Possible distances between the ticks of a time axis [s]."""
+TICKS = 9
+
+
+def time_axis(axes: Axes, duration: float) -> None:
+    """Label an axis of stream time [s]."""
+    axes.set_xlim(0.0, duration)
+    axes.xaxis.set_major_formatter(FuncFormatter(clock_text))
+    step = next((s for s in NICE_S if duration <= TICKS * s), NICE_S[-1])
+    axes.xaxis.set_major_locator(MultipleLocator(step))
+    axes.set_xlabel("time [min:s]")
+
+
+def clock_text(seconds: float, _: object) -> str:
+    """Return a time as text, such as `4:02`. The function is a matplotlib formatter."""
+    return clock(seconds)
+
+
+def legend(axes: Axes) -> None:
+    """Draw the legend above the axes, in rows. A single curve without a name gets no legend."""
+    if not axes.get_legend_handles_labels()[1]:
+        return
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
+                handlelength=1.8, columnspacing=1.2)  # fmt: skip
+
+
+def themed(svg: str) -> str:
+    """Replace placeholder colours by the page's colours, which depend on light or dark mode."""
+    svg = without_name_space(svg)
+    for colour, name in THEME.items():
+        svg = svg.replace(colour, f"var({name})")
+    return svg
