@@ -20,8 +20,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from imucald.commands.live_events import LiveEvent, live_events
-from imucald.commands.monitor_view import input_health, monitor_picture
+from imucald.commands.monitor_view import LiveEvent, input_health, live_events, monitor_picture
 from imucald.commands.status import exit_status
 from imucald.commands.status_view import (
     headline,

@@ -26,7 +26,7 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can
 from imucald.commands.monitor import watch
 from imucald.commands.terminal import plain_console
-from imucald.config.example import example_path
+from imucald.config.root import example_path
 from imucald.core.errors import ConfigError, LinkError
 from imucald.core.orientation_words import sits_words
 from imucald.core.rotations import rotation_from_angles

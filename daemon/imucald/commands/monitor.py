@@ -68,8 +68,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     from rich.live import Live
     from rich.text import Text
 
-    from imucald.commands.live_events import LiveEvent, asked_events, live_events
-    from imucald.commands.monitor_view import monitor_picture
+    from imucald.commands.monitor_view import LiveEvent, asked_events, live_events, monitor_picture
     from imucald.commands.status_view import no_answer
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import asdict
 
-from imucald.commands.live_events import LiveEvent, asked_events, live_events
-from imucald.commands.monitor_view import input_health
+from imucald.commands.monitor_view import LiveEvent, asked_events, input_health, live_events
 from imucald.commands.status_view import is_stale, no_answer, wrong_now
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.core.libraries import how_to_install

@@ -140,7 +140,7 @@ def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None
     """Print the result of a replay as tables. causes: likely causes of contradictions."""
     from rich.text import Text
 
-    from imucald.commands.mount_view import mount_parts
+    from imucald.commands.status_view import mount_parts
     from imucald.mount.mount_words import left_out_words
 
     plain_where_needed()

@@ -18,8 +18,11 @@ from imucald.config.calibration import OrientationSettings, SensorAxis
 from imucald.config.vehicle import VehicleSettings
 from imucald.config_check.axes import (
     MIN_BRAKING,
+    MIN_TURNING,
     axes_findings,
     best_response,
+    gain_findings,
+    sign_findings,
     speed_findings,
     turn_gain_findings,
 )
@@ -34,7 +37,6 @@ from imucald.config_check.motion import MIN_TICKS, Motion, smooth, speed_ratio
 from imucald.config_check.moved_sensor import sensor_move
 from imucald.config_check.relation import relation
 from imucald.config_check.single_fault import explained
-from imucald.config_check.yaw_rate_check import MIN_TURNING, gain_findings, sign_findings
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED

@@ -36,8 +36,7 @@ from imucald.discovery.flags import (
     find_temperature,
     unseen_reverse,
 )
-from imucald.discovery.heading import heading_choice
-from imucald.discovery.mirrored import doubt_both_sensors, hold_against_usual_signs
+from imucald.discovery.heading import doubt_both_sensors, heading_choice, hold_against_usual_signs
 from imucald.discovery.names import by_names, named_so
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection

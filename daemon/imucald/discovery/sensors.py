@@ -48,6 +48,7 @@ from imucald.discovery.reference import (
     wheel_mean,
 )
 from imucald.discovery.triads import (
+    BY_PLACES,
     EARTH_FIELD,
     Triad,
     accelerometers,
@@ -61,7 +62,6 @@ from imucald.inputs.units import is_unit
 MAX_TRIADS = 6
 """Largest number of triads (three signals x, y, z) that are compared with every speed, if no unit
 shows which triad is the accelerometer."""
-BY_PLACES = "the axes are in the order of their bits"
 
 
 class Sensors:

@@ -36,6 +36,7 @@ manoeuvres are weaker."""
 CALM_PART = 0.1
 """Share of a drive in which even a racing driver neither brakes nor turns. In this share of a
 drive, the magnitude of the smoothed specific force is 1 g or slightly more."""
+BY_PLACES = "the axes are in the order of their bits"
 EARTH_FIELD = (22e-6, 67e-6)
 """Range of the earth's magnetic field [T] (World Magnetic Model)."""
 
