@@ -122,7 +122,6 @@ def why(options: argparse.Namespace) -> int:
 
 def analyse(options: argparse.Namespace) -> int:
     """Analyse all drives together, write `analysis/`, and print the most important results."""
-    from imucald.commands.fleet_read import print_analysis
     from imucald.fleet.analysis.analyse import GROUPS
 
     store = _store(options)
