@@ -88,11 +88,7 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
 
 
 def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
-    """Make the table of quantities.
-
-    narrow: long names are broken at their dot. stacked: cells may have two lines; otherwise each
-    row is one line.
-    """
+    """narrow: long names are broken at their dot. stacked: cells may have two lines."""
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
     table.add_column("quantity", no_wrap=stacked)
     table.add_column("from", overflow="fold")
@@ -128,8 +124,7 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
 
 
 def _broken(name: str, most: int | None) -> str:
-    """Break a dotted name into two lines if it is longer than `most`. With most=None, return the
-    name unchanged."""
+    """Break a dotted name that is longer than `most` into two lines."""
     return name if most is None or len(name) <= most else name.replace(".", ".\n", 1)
 
 

@@ -174,10 +174,7 @@ def _on_end(stop: Callable[[], None]) -> None:
 
 
 def _socket(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> Path | None:
-    """Return the requested status socket; None if the feed was stopped while it waited for one.
-
-    The socket of a named channel may appear later. Without a channel it waits for any daemon.
-    """
+    """Return the status socket; None if the feed was stopped while it waited for any daemon."""
     from imucald.commands.status import find_socket, running_sockets
     from imucald.service.asking import running_socket
 

@@ -83,8 +83,7 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace or create a regular file. Raises ImucaldError if the path is anything else than a
-    regular file."""
+    """Replace or create a regular file. Any other path is an error."""
     from imucald.core.errors import ImucaldError
     from imucald.core.files import write_file
 

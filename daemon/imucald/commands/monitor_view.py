@@ -142,10 +142,7 @@ def _lines(console: Console, *parts: RenderableType) -> int:
 def _fitting(
     console: Console, events: Sequence[LiveEvent], rows: int, width: int
 ) -> list[LiveEvent]:
-    """Return the newest events that fit a table of at most `rows` rows.
-
-    The newest event is cut to one row if it does not fit.
-    """
+    """Return the newest events that fit `rows` rows. If not even one fits, it is cut to one row."""
     options = console.options.update(width=width)
     shown = list(events)[-rows:] if rows > 1 else []
     while shown and len(console.render_lines(events_table(shown), options)) > rows:

@@ -145,12 +145,10 @@ def _causes(
     logs: Sequence[str],
     result: Mapping[str, Any],
 ) -> list[str]:
-    """Return the likely causes of the contradictions in a replayed drive; empty if there is no
-    contradiction.
+    """Return the likely causes of the contradictions in a replayed drive.
 
     The estimator compares pairs of signals while it runs, so it cannot say which signal of a pair
-    is wrong. `check` judges the whole drive. If it finds no error, the text says so. result: as in
-    docs/json.md.
+    is wrong. `check` judges the whole drive. result: as in docs/json.md.
     """
     import shlex
 
@@ -299,9 +297,7 @@ def _page(
 
 
 def _print_problems(options: argparse.Namespace, drive: DriveResult, log: str = "") -> None:
-    """Print the problems and notes of a drive. log: name of the log, printed before each note if
-    there are several logs.
-    """
+    """log: name of the log, printed before each note if there are several logs."""
     from imucald.api.run import UNUSED
 
     print_problems(drive.problems)

@@ -242,8 +242,7 @@ def _check_scales(model: VehicleModel) -> None:
 
 
 def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:
-    """Return the driving side: the side of the model file if it states one, else the side of the
-    configuration."""
+    """Return the driving side: the model file's if it states one, else the configuration's."""
     from imucald.core.yaml_lines import read_yaml_file
 
     if not options.model:

@@ -125,8 +125,7 @@ def running_sockets(channel: str | None = None) -> list[Path]:
 
 
 def _channel_of(path: Path) -> str | None:
-    """Ask a daemon for the name of its channel. The request is necessary if only the daemon's
-    configuration names the channel."""
+    """Ask a daemon for its channel, which only its configuration may name."""
     from imucald.service.asking import ask, content
 
     try:

@@ -79,11 +79,8 @@ def mount_parts(
 
 
 def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
-    """Make a bar for each missing condition, with its progress and the remaining driving time.
-
-    is_stale: no corrected frames are sent now, so no bar has the colour for good and no time is
-    stated.
-    """
+    """Make a bar for each missing condition. is_stale: no corrected frames are sent now, so nothing
+    is shown as good and no time is stated."""
     unfinished, finished = ("dim", "dim") if is_stale else ("yellow", "green")
     table = Table(box=None, pad_edge=False)
     table.add_column(f"to {progress['goal']}")
@@ -110,8 +107,6 @@ def _angles(result: Mapping[str, Any]) -> Table:
 
 
 def _axes(result: Mapping[str, Any], is_stale: bool) -> Table:
-    """Make the table of the ± of corrected samples about each axis. The state of the mount depends
-    on these values."""
     table = Table(box=None, pad_edge=False)
     table.add_column("corrected", min_width=12)
     table.add_column("± 95 %", justify="right", min_width=7)
@@ -284,8 +279,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
 
 
 def _not_understood(link: Mapping[str, Any]) -> str:
-    """Return a text about frames that python-can could not interpret, if there are any. SocketCAN
-    never has such frames."""
+    """Return a text about frames that python-can could not interpret, if there are any."""
     count = link.get("rejected", 0)  # an older daemon does not count them
     return f", {count} not understood" if count else ""
 

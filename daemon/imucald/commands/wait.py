@@ -65,11 +65,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _asked(options: argparse.Namespace) -> tuple[int, str]:
-    """Return the present exit status, and a line about the frames that are sent and the missing
-    conditions.
-
-    Raises LinkError if several daemons run and none is named, or if another program answers.
-    """
+    """Return the present exit status, and a line about frames and missing conditions. Raises
+    LinkError if several daemons run and none is named, or if another program answers."""
     from imucald.commands.status import FINE, NOT_YET, asked, exit_status
     from imucald.commands.status_view import short
     from imucald.service.asking import BusyError, NotRunningError, understood

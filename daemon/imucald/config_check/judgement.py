@@ -214,12 +214,9 @@ def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterat
 def _stated_axis(
     stated: SensorAxis | None, direction: str, found: Array, opposite: str, remedy: str
 ) -> Iterator[Finding]:
-    """Check whether the axis that the user states for a direction agrees with the data.
-
-    direction: "up" or "forward". found: the direction in the data, unit vector (3,) in sensor axes.
-    opposite: the name of the opposite direction. remedy: text for an axis that points in the
-    opposite direction.
-    """
+    """Check whether the axis that the user states for a direction ("up" or "forward") agrees with
+    the data. found: the direction in the data, unit vector (3,) in sensor axes. remedy: text for an
+    axis that points in the opposite direction."""
     if stated is None:
         return
     part = float(found @ unit_vector(stated))
@@ -236,10 +233,8 @@ def _stated_axis(
 
 
 def _constant_speed(motion: Motion) -> Iterator[Finding]:
-    """Report a speed that never changes. Cruise control can cause this with whole km/h.
-
-    The finding is an error if the accelerometer shows that the vehicle's speed changes.
-    """
+    """Report a speed that never changes: an error if the accelerometer shows changes of speed.
+    Cruise control can cause it with whole km/h."""
     if not motion.drives:
         return
     known = motion.grid["speed"][np.isfinite(motion.grid["speed"])]
@@ -262,8 +257,7 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
 
 def _is_driven_both_ways(motion: Motion) -> bool:
     """True if the specific force varies in both horizontal directions by more than slopes cause.
-    Bends change only the lateral force. The longitudinal force changes only with speed and slope.
-    """
+    Bends change only the lateral force."""
     if motion.accel is None or motion.up is None:
         return False
     force = motion.accel[np.isfinite(motion.accel).all(axis=1)]

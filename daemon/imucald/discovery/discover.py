@@ -50,8 +50,6 @@ from imucald.motion.ticks import TICK_RATE
 
 LEAST_PART_S = 60.0
 """Shortest part of a recording that is used, if the sensor was moved in the recording [s]."""
-LEAST_LOSS = 0.05
-"""Smallest share of lost frames [%] that is shown. A smaller share would be shown as 0.0."""
 
 
 def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
@@ -140,10 +138,10 @@ def _discovered(
 
 def _lost(shares: Mapping[str, float | None]) -> list[str]:
     """Return a text with the lost share of each message; empty if no message has losses."""
-    known = {name: 100.0 * share for name, share in shares.items() if share is not None}
-    if not any(share >= LEAST_LOSS for share in known.values()):
+    known = {name: f"{100.0 * share:.1f}" for name, share in shares.items() if share is not None}
+    if not set(known.values()) - {"0.0"}:
         return []
-    return ["Frames lost: " + ", ".join(f"{n} {x:.1f} %" for n, x in known.items()) + "."]
+    return ["Frames lost: " + ", ".join(f"{n} {x} %" for n, x in known.items()) + "."]
 
 
 def _announced(traffic: Sequence[Traffic]) -> dict[int, int]:

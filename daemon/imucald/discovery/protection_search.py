@@ -32,7 +32,6 @@ FITS = 0.99
 """Share of the frames that a checksum must fit. A recording may contain damaged frames."""
 COUNTS = 0.9
 """Share of the frames in which a counter must increase by 1. A tenth of the frames may be lost."""
-COUNTER_BITS = range(2, 17)
 ID_BYTES = (0, 2, 4, 1)
 """Numbers of identifier bytes at the start of a checksum's input, the most frequent first."""
 
@@ -80,7 +79,7 @@ def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] |
     best: tuple[float, dict[str, Any], str] | None = None
     for name, signal in one.message.signals.items():
         whole = not signal.is_float and not signal.is_signed and not signal.selectors
-        if not whole or signal.length not in COUNTER_BITS:
+        if not whole or not 2 <= signal.length <= 16:
             continue
         field = field_of(signal)
         if field.first_bit < 0 or field.end_byte > one.message.length:

@@ -55,16 +55,9 @@ scale is less than a third."""
 def raw_choices(fields: Sequence[SeenSignal], motion: Motion, wanted: set[str]) -> list[Choice]:
     """Return suggestions for `speed` and `steering_wheel_angle` if they are in `wanted`. The
     suggestions are written as comments."""
-    found = []
-    if "speed" in wanted:
-        choice = _speed(fields, motion)
-        if choice is not None:
-            found.append(choice)
-    if "steering_wheel_angle" in wanted:
-        choice = _steering(fields, motion)
-        if choice is not None:
-            found.append(choice)
-    return found
+    searches = {"speed": _speed, "steering_wheel_angle": _steering}
+    found = (search(fields, motion) for name, search in searches.items() if name in wanted)
+    return [choice for choice in found if choice is not None]
 
 
 def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choice | None:

@@ -144,9 +144,8 @@ class Sensors:
         self._found += [gyro, self._magnetometer(), speed]
 
     def _best_of(self, triads: list[Triad]) -> Triad:
-        """Return the accelerometer that fits a gyroscope of the bus best. Without a gyroscope,
-        return the accelerometer that shows the changes of speed best.
-        """
+        """Return the accelerometer that fits a gyroscope of the bus best; without a gyroscope, the
+        one that shows the changes of speed best."""
         explained = [self._speed_for(t) for t in triads]
         showing = [t for t, e in zip(triads, explained, strict=True) if e >= SAME_MOTION]
         gyros = gyroscopes(self.candidates)
@@ -161,9 +160,7 @@ class Sensors:
         return max(showing, key=fit)
 
     def _speed_for(self, triad: Triad) -> float:
-        """Return the quality of the best fit between a speed and a triad (three signals x, y, z),
-        and store all fits.
-        """
+        """Return the quality of the best fit between a speed and a triad, and store all fits."""
         motion = of_accelerometer(triad).motion
         members = {m.path for m in triad.members}
         fits = [
@@ -355,9 +352,8 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
 
 
 def _open_question(triad: Triad, fit: GyroFit) -> str:
-    """Return a text about what the likelihoods do not decide (axes or signs); empty if they decide
-    everything.
-    """
+    """Return what the likelihoods do not decide (axes or signs); empty if they decide
+    everything."""
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"
     if fit.order[1] < 0 and not fit.is_decided([o for o in RIGHT_HANDED if o[1] > 0]):

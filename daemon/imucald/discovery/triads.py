@@ -21,8 +21,6 @@ from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, in
 from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import find_unit, is_unit
 
-LEAST_COUNTS = 50.0
-"""Smallest number of counts for 1 g. Every sensor has more counts for 1 g than this number."""
 MAX_TOGETHER = 12
 """Largest number of similar signals in a message of which any three are tested. With more signals,
 only adjacent signals are tested."""
@@ -98,7 +96,7 @@ def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
         ordered, named = in_order(three)
         _, middle, spread = _sizes(ordered)
         is_integer = all(m.signal.scale == 1.0 and not is_unit(m.unit) for m in ordered)
-        if named and is_integer and spread < NORM_SPREAD and middle > LEAST_COUNTS:
+        if named and is_integer and spread < NORM_SPREAD:
             sizes = ((1.0 + s * SCALE_AND_OFFSET) * GRAVITY / middle for s in (-1.0, 1.0))
             unit = in_counts("acceleration", *sizes)
             found.append(Triad(ordered, unit, named, middle * unit.factor, spread))
@@ -114,11 +112,8 @@ def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, int, float]:
 
 
 def _sizes(three: tuple[SeenSignal, ...]) -> tuple[Array, float, float]:
-    """Return the sizes (n,) of a vector in the unit of its signals, the median of the sizes, and
-    their relative spread.
-
-    If the size is unknown, the median is 0.0 and the spread is infinite.
-    """
+    """Return the sizes (n,) of a vector in the unit of its signals, their median, and their
+    relative spread; 0.0 and infinite if the size is unknown."""
     size = np.linalg.norm(np.column_stack([m.smooth for m in three]), axis=1)
     size = size[np.isfinite(size)]
     middle = float(np.median(size)) if len(size) else 0.0
@@ -298,9 +293,7 @@ def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:
-    """Return the triads (three signals x, y, z), without the triads that share a signal with a
-    better triad.
-    """
+    """Return the triads without those that share a signal with a better one."""
     used: set[str] = set()
     kept = []
     for triad in found:

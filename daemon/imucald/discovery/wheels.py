@@ -139,8 +139,7 @@ def _track(
     four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, motion: Motion
 ) -> Relation | None:
     """Return the relation between the yaw rate and the speed difference of right and left wheels,
-    both divided by the speed. The gain of this relation is the track.
-    """
+    both divided by the speed. Its gain is the track."""
     if motion.turn is None:
         return None
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)

@@ -72,10 +72,6 @@ class DriveHistory:
         """Store a snapshot of the estimate."""
         self.moments.append(snapshot)
 
-    def begins(self, lead: float) -> None:
-        """Store the time from the start of the log to the first configured frame [s]."""
-        self.lead = lead
-
     @property
     def arrivals(self) -> Mapping[str, Array]:
         """Times of good samples [s], by channel."""

@@ -178,9 +178,8 @@ def _width(share: float) -> str:
 
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the pictures of signals, the most important first: signals with a cause or an
-    unexplained pattern come before other signals. Within both groups, signals are sorted by the
-    ratio of residual to noise."""
+    """Return the pictures of signals: those with a cause or an unexplained pattern first, then by
+    the ratio of residual to noise."""
     from imucald.report import plots as draw  # noqa: PLC0415 - loads matplotlib
 
     touched = {name for cause in diagnosis.causes for name in cause.signals}
