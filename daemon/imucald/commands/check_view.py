@@ -53,8 +53,8 @@ def _verdict(report: Mapping[str, Any], strict: bool) -> Text:
     warnings = report["warnings"]
     how_many = counted(warnings, "warning")
     if not report["usable"]:
-        besides = f" ({how_many} besides)" if warnings else ""
-        return Text(f"This configuration cannot be used yet{besides}.", style="bold red")
+        more = f": see the errors above, and {how_many}" if warnings else ": see the errors above"
+        return Text(f"This configuration cannot be used yet{more}.", style="bold red")
     if not warnings:
         return Text("This configuration can be used: no warnings.", style="bold green")
     if strict:

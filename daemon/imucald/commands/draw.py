@@ -62,10 +62,8 @@ def _rotation(options: argparse.Namespace) -> Matrix3:
     """Return R_vehicle_from_sensor from angles or quaternion. Raises ConfigError if invalid."""
     import math
 
-    import numpy as np
-
     from imucald.core.errors import ConfigError
-    from imucald.core.rotations import rotation_from_angles, rows_from_quaternion
+    from imucald.core.rotations import rotation_from_angles, rotation_from_quaternion
 
     name, text, wanted = "--quaternion", options.quaternion, 4
     if options.mount:
@@ -79,5 +77,4 @@ def _rotation(options: argparse.Namespace) -> Matrix3:
     length = math.hypot(*found)
     if not 0.99 < length < 1.01:
         raise ConfigError(f"--quaternion must have length 1; it has length {length:.3g}")
-    w, x, y, z = (n / length for n in found)
-    return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
+    return rotation_from_quaternion([n / length for n in found])

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.core.errors import LinkError
-from imucald.core.text import clock, counted, when_reached
+from imucald.core.text import clock, counted, reached_states
 from imucald.mount.estimate import ANGLES
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
@@ -210,9 +210,8 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
     text.append(state, style="dim" if is_grey else STYLES.get(state, "yellow"))
     if status.get("held"):
         text.append("   held: nothing is learnt", style="bold yellow")
-    for name in ("usable", "fine") if state != "restored" else ():
-        if (after := status[f"first_{name}_s"]) is not None:
-            text.append(f"   {when_reached(name, after)}")
+    for reached in reached_states(status) if state != "restored" else ():
+        text.append(f"   {reached}")
     return text
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
-from imucald.core.text import clock, counted, made_safe, stream_behind, when_reached
+from imucald.core.text import clock, counted, made_safe, reached_states, stream_behind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -145,7 +145,9 @@ def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None
 
     plain_where_needed()
     console = plain_console()
-    console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
+    reached = ", ".join(reached_states(result))
+    since = f" ({reached})" if reached else ""
+    console.print(Text.assemble("state: ", (result["state"], "bold"), since))
     for text in causes:
         console.print(f"likely cause (imucald check): {text}", style="bold red")
     for part in mount_parts(result, is_checked=bool(causes)):
@@ -217,15 +219,6 @@ def _beside(result: Mapping[str, Any]) -> Iterator[str]:
         opposite = " or opposite" if travel["ambiguous"] else ""
         steps = counted(travel["steps"], "step")
         yield f"travel direction: {steps}, the last towards {heading}{opposite}"
-
-
-def _since(result: Mapping[str, Any]) -> str:
-    parts = [
-        when_reached(name, result[key])
-        for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
-        if result[key] is not None
-    ]
-    return f" ({', '.join(parts)})" if parts else ""
 
 
 def _number(value: float | None, form: str, unit: str) -> str:

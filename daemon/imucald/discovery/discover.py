@@ -217,7 +217,7 @@ def choices_from(
     proposal.vehicle += vehicle
     reference = sensors.reference
     found: list[Choice | None] = [
-        *sensors.choices(),
+        *sensors.choices,
         *of_motion,
         find_reverse(reference, free),
         find_brake(reference.motion, free),

@@ -9,10 +9,11 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 
+from imucald.config import Wheels
 from imucald.discovery.candidates import SeenSignal, words
 from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 
-WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+WHEELS = Wheels.__struct_fields__
 _FRONT = ("front", "vorn", "vorne", "vorder", "av")
 _REAR = ("rear", "back", "hinten", "hinter", "ar")
 _LEFT, _RIGHT = ("left", "links"), ("right", "rechts")

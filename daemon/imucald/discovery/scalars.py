@@ -14,6 +14,7 @@ import numpy as np
 
 from imucald.config_check.relation import Relation, is_better, relation
 from imucald.core.arrays import Array
+from imucald.core.default_vehicle import WHEELBASE
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import (
     GAINS,
@@ -40,8 +41,6 @@ from imucald.discovery.wheels import find_wheels
 STEERING_METRES = (15.0, 130.0)
 """Range of wheelbase times steering ratio [m]. The lower limit is half the value of a small car
 with a quick rack (2.4 m x 12). The upper limit is the value of a lorry (6 m x 20)."""
-WHEELBASE = 2.7
-"""Default wheelbase of the configuration [m]."""
 
 
 @dataclass(frozen=True)

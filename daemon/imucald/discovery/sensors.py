@@ -3,7 +3,7 @@ sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from imucald.config_check.gyro_axes import (
     AS_IT_IS,
@@ -83,7 +83,8 @@ class Sensors:
         self.heading: HeadingFit | None = None
         self.contradiction = ""
         """Text about an accelerometer and a gyroscope that contradict each other; else empty."""
-        self._found: list[Choice | None] = []
+        self.choices: list[Choice | None] = []
+        """The choices, in the order of the configuration."""
         self._speeds: list[SpeedFit] = []
         triads = accelerometers(candidates)
         counts = [] if triads else in_raw_counts(candidates)
@@ -94,17 +95,13 @@ class Sensors:
             planar = find_planar(with_signs or candidates, self.wheels, self.taken)
             if planar is not None:
                 self.reference = planar.reference
-                self._found += planar.choices
+                self.choices += planar.choices
                 self.taken |= planar.taken
         if self.heading is None:
             self.heading = fit_heading(self.reference.motion, self._free())
 
     def _free(self) -> list[SeenSignal]:
         return [c for c in self.candidates if c.path not in self.taken]
-
-    def choices(self) -> Iterator[Choice | None]:
-        """Yield the choices, in the order of the configuration."""
-        yield from self._found
 
     def _set_accelerometer(self, triads: list[Triad]) -> None:
         stated = [t for t in triads if t.unit.is_stated]
@@ -116,7 +113,7 @@ class Sensors:
         reference = self.reference = of_accelerometer(best)
         self.taken |= {m.path for m in best.members}
         accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
-        self._found.append(accelerometer)
+        self.choices.append(accelerometer)
         speed = self._choose_speed()
         gyro = self._choose_gyroscope(reference)
         tilt = tilt_ratio(reference.motion)
@@ -141,7 +138,7 @@ class Sensors:
                 "the three signals form a vector of 1 g, but no unit "
                 "is stated and no motion confirms them"
             )
-        self._found += [gyro, self._magnetometer(), speed]
+        self.choices += [gyro, self._magnetometer(), speed]
 
     def _best_of(self, triads: list[Triad]) -> Triad:
         """Return the accelerometer that fits a gyroscope of the bus best; without a gyroscope, the

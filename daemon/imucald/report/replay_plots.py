@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,12 +52,8 @@ MAX_MARKS = 12
 """Largest number of numbered events in a picture."""
 
 
-@dataclass(frozen=True)
-class Numbered:
-    """An event, and its number in the pictures and in the table."""
-
-    number: int
-    event: Event
+Numbered = tuple[int, Event]
+"""An event with its number in the pictures and in the table."""
 
 
 def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
@@ -95,14 +90,11 @@ def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, st
     text, such as "4-6"."""
     found: list[list[Numbered]] = []
     for mark in events:
-        if found and mark.event.t - found[-1][0].event.t < LABEL_SHARE * duration:
+        if found and mark[1].t - found[-1][0][1].t < LABEL_SHARE * duration:
             found[-1].append(mark)
         else:
             found.append([mark])
-    return [
-        (g[0].event.t, str(g[0].number) if len(g) == 1 else f"{g[0].number}-{g[-1].number}")
-        for g in found
-    ]
+    return [(g[0][1].t, str(g[0][0]) if len(g) == 1 else f"{g[0][0]}-{g[-1][0]}") for g in found]
 
 
 def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
@@ -130,8 +122,8 @@ def _draw_angle(
     size = _size(off, half)
     axes.fill_between(t, end + off - half, end + off + half, color=OURS, alpha=0.22, lw=0)
     axes.plot(t, end + off, color=OURS, lw=1.4)
-    for mark in events[:MAX_MARKS]:
-        axes.axvline(mark.event.t, color=SOFT, lw=0.7, ls=(0, (1, 2)))
+    for _, event in events[:MAX_MARKS]:
+        axes.axvline(event.t, color=SOFT, lw=0.7, ls=(0, (1, 2)))
     if np.isfinite(end):
         axes.axhline(end, color=SOFT, lw=0.6)
         axes.set_ylim(end - size, end + size)

@@ -298,7 +298,7 @@ def _after_unknown(diagnosis: Diagnosis) -> str:
         )
     return (
         f"Look at {_where(diagnosis) or 'the signals'} in the pictures of the report. If the "
-        "sensor is loose, fasten it. Else the list of causes lacks this one."
+        "sensor is loose, fasten it. Otherwise the cause is one that imucald does not know."
     )
 
 
