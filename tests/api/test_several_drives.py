@@ -45,8 +45,8 @@ def test_several_logs_are_several_drives(tmp_path):
     assert "of several vehicles use 'imucald fleet'" in moved[0]
     assert any(
         re.fullmatch(
-            r"the mounts of .*a.log and .*b.log differ by no more than chance: (?:[xyz] [+-]\d\.\d\d ± "
-            r"\d\.\d\d(?:, )?){3} deg about the vehicle's axes",
+            r"the mounts of .*a.log and .*b.log differ by no more than chance: "
+            r"(?:[xyz] [+-]\d\.\d\d ± \d\.\d\d(?:, )?){3} deg about the vehicle's axes",
             text,
         )
         for text in found.agreements

@@ -234,10 +234,8 @@ def _differ(names: str, e: np.ndarray, covariance: np.ndarray) -> tuple[bool, st
     turn = ", ".join(
         f"{axis} {v:+.2f} ± {h:.2f}" for axis, v, h in zip("xyz", e, half, strict=True)
     )
-    return (
-        True,
-        f"the mounts of {names} differ by no more than chance: {turn} deg about the vehicle's axes",
-    )
+    text = f"differ by no more than chance: {turn} deg about the vehicle's axes"
+    return True, f"the mounts of {names} {text}"
 
 
 def _share(one: DriveResult, other: DriveResult) -> bool:

@@ -40,11 +40,8 @@ class QuantitySource:
         word = configured_name(self.wanted.channel)
         if self.wanted.width == 3:
             return f"{word}.{'xyz'[self.wanted.slot]}"
-        return (
-            f"{word}.{Wheels.__struct_fields__[self.wanted.slot]}"
-            if self.wanted.width == 4
-            else word
-        )
+        wheel = Wheels.__struct_fields__[self.wanted.slot]
+        return f"{word}.{wheel}" if self.wanted.width == 4 else word
 
     @property
     def unit(self) -> str:
