@@ -8,7 +8,6 @@ every frame. If ids alternate, the contribution is the same for all frames with 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -35,8 +34,6 @@ COUNTS = 0.9
 ID_BYTES = (0, 2, 4, 1)
 """Numbers of identifier bytes at the start of a checksum's input, the most frequent first."""
 
-
-_NAMES = re.compile(r"crc|check|chk|cks|pruef|bcc", re.IGNORECASE)
 
 Columns = NDArray[np.uint8]
 
@@ -104,7 +101,7 @@ def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, A
     # each byte is the XOR of all others: the last one is probably the checksum
     for name, signal in sorted(
         one.message.signals.items(),
-        key=lambda item: (not _NAMES.search(item[0]), -field_of(item[1]).first_bit),
+        key=lambda item: -field_of(item[1]).first_bit,
     ):
         if signal.length != 8 or signal.is_float:
             continue

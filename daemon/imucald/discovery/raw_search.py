@@ -1,8 +1,7 @@
 """Find a speed and a steering angle in bytes that no database describes.
 
 A field of one or two bytes is used if consecutive values are close together and the range of the
-values is wide. Upper bits that jump (flags of other signals) are masked. Fields are proposed as
-`raw`.
+values is wide. Fields are proposed as `raw`.
 
 Speeds are fields that are proportional to each other: wheels, transmission, display. The steering
 angle is a field that follows the curvature, which is the difference of two wheel speeds divided by
@@ -36,9 +35,6 @@ CLOSE = 0.02
 JUMP = 0.25
 """Smallest step that counts as a jump, as a share of the range (a wrap, or bits of other
 signals)."""
-MAX_MASKED = 5
-"""Largest number of upper bits that may belong to other signals."""
-MAX_STEP_S = 1.0
 ROLL_TOGETHER = 0.995
 """Smallest correlation between two speeds of one vehicle."""
 NO_OFFSET = 0.02
@@ -240,24 +236,21 @@ def _field(one: Traffic, places: tuple[int, ...], ticks: int, several: bool) -> 
     data = one.data.astype(np.int64)
     if len(places) == 2 and len(np.unique(data[:, places[1]])) < MIN_LEVELS:
         return None  # no data in the low byte: the field has one byte
-    for masked in range(MAX_MASKED + 1 if len(places) == 2 else 1):
-        values = data[:, places[0]] & 0xFF >> masked
-        if len(places) == 2:
-            values = values * 256 + data[:, places[1]]
-        if _is_smooth(one.t, values):
-            return _candidate(one, places, masked, ticks, several)
-    return None
+    values = data[:, places[0]]
+    if len(places) == 2:
+        values = values * 256 + data[:, places[1]]
+    return _candidate(one, places, ticks, several) if _is_smooth(values) else None
 
 
-def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
+def _is_smooth(values: NDArray[np.int64]) -> bool:
     span = int(values.max() - values.min())
     if span < MIN_LEVELS or len(np.unique(values)) < MIN_LEVELS:
         return False
-    steps = np.abs(np.diff(values))[np.diff(t) < MAX_STEP_S]
-    if not len(steps) or float(np.mean(steps > 0)) < 0.01:
+    both = np.diff(values)
+    steps = np.abs(both)
+    if float(np.mean(steps > 0)) < 0.01:
         return False
     moving = steps[steps > 0]
-    both = np.diff(values)
     one_way = min(float((both > 0).mean()), float((both < 0).mean())) < 0.001
     return bool(
         not one_way  # a clock, a counter, an odometer
@@ -267,18 +260,17 @@ def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
 
 
 def _candidate(
-    one: Traffic, places: tuple[int, ...], masked: int, ticks: int, several: bool
+    one: Traffic, places: tuple[int, ...], ticks: int, several: bool
 ) -> SeenSignal | None:
-    """Return the field at these bytes, the upper one first, without its `masked` upper bits."""
+    """Return the field at these bytes, the upper one first."""
     is_big = places == tuple(sorted(places))
-    start = 8 * places[0] + 7 - masked if is_big else 8 * places[-1]
+    start = 8 * places[0] + 7 if is_big else 8 * places[-1]
     order: ByteOrder = "big_endian" if is_big else "little_endian"
-    signal = Signal(f"bytes_{'_'.join(map(str, places))}", start, 8 * len(places) - masked, order)
+    signal = Signal(f"bytes_{'_'.join(map(str, places))}", start, 8 * len(places), order)
     number = one.can_id & CAN_EFF_MASK
     message = Message(f"0x{number:X}", one.can_id, one.data.shape[1], {signal.name: signal})
-    mask = 0xFF >> masked
-    upper = f"(data[{places[0]}] & {mask})" if masked else f"data[{places[0]}]"
-    value = upper if len(places) == 1 else f"{upper} * 256 + data[{places[1]}]"
+    upper, lower = (f"data[{place}]" for place in (places[0], places[-1]))
+    value = upper if len(places) == 1 else f"{upper} * 256 + {lower}"
     raw = {"id": number, "value": value}
     if one.can_id & CAN_EFF_FLAG and number < 0x800:
         raw["extended"] = True
