@@ -16,13 +16,17 @@ import numpy as np
 from imucald.config_check.motion import Motion, course_rate, shifted
 from imucald.config_check.relation import DELAYS, Relation, relation
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import GAINS, RELATED, SAME_MOTION, stated_unit
+from imucald.discovery.evidence import RELATED, SAME_MOTION, stated_unit
 from imucald.discovery.names import WHEELS, by_unit_and_name, hint
 from imucald.discovery.proposal import Choice, Proposed, source_of
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.triads import BY_PLACES
 from imucald.discovery.wheels import BY_TURNS, EXCHANGED, IN_ORDER
 from imucald.mount.mirror import DOUBTED, REMEDY, SIDED, names_of, probability
+
+GAIN = 1.5
+"""Largest accepted gain ratio. It is between 1 (right unit) and 2 (wrong unit by a factor of
+two). The varying delay of a receiver makes the gain too large."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ def fit_heading(motion: Motion, candidates: Sequence[SeenSignal]) -> HeadingFit 
         found = one.relation
         # the delay of a receiver's fixes varies, which is noise in the change of its course
         share = RELATED if one.is_named else SAME_MOTION
-        fitting = found.explained >= share and GAINS[0] < found.gain < GAINS[1]
+        fitting = found.explained >= share and 1.0 / GAIN < found.gain < GAIN
         if found.is_believed and fitting and (best is None or found.z > best.relation.z):
             best = one
     return best
