@@ -175,7 +175,7 @@ def _causes(
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
-    from imucald.api.drives import DriveSet, between_drives
+    from imucald.api.drives import DriveSet, between_drives, names_apart
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
     from imucald.core.errors import LogError
@@ -184,8 +184,14 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     drives, written, folders = [], list[Path](), list[str]()
     failed = list[tuple[str, str]]()
     explained = list[str]()
-    places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
-    for log, (path, folder) in zip(logs, places, strict=True):
+    if options.report:
+        from imucald.commands.report_pages import check_report_folder, make_folder
+
+        check_report_folder(options.report)
+        make_folder(options.report)
+    for log, name in zip(logs, names_apart(logs), strict=True):
+        path = _named(options.write, name)
+        folder = options.report / name if options.report else None
         try:
             page = _page(options, [log], folder)
             drive, files = _replayed(options, config, [log], path, None, page)
@@ -265,25 +271,9 @@ def _written(
     return stream.result, files
 
 
-def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    from imucald.api.drives import names_apart
-
-    if path is None:
-        return [None] * len(logs)
-    return [path.with_name(f"{path.stem}.{n}{path.suffix}") for n in names_apart(logs)]
-
-
-def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """Return the folder for the page of each drive, inside the given folder."""
-    from imucald.api.drives import names_apart
-
-    if folder is None:
-        return [None] * len(logs)
-    from imucald.commands.report_pages import check_report_folder, make_folder
-
-    check_report_folder(folder)
-    make_folder(folder)
-    return [folder / name for name in names_apart(logs)]
+def _named(path: Path | None, name: str) -> Path | None:
+    """Return the path of the output file of one of several drives."""
+    return path and path.with_name(f"{path.stem}.{name}{path.suffix}")
 
 
 def _page(
@@ -327,7 +317,11 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
         from imucald.api.files.written import require_format
 
         require_format(options.write)
-    written = _paths(options.write, logs) if several else [options.write]
+    written = [options.write]
+    if several:
+        from imucald.api.drives import names_apart
+
+        written = [_named(options.write, name) for name in names_apart(logs)]
     check_files(inputs, (options.out, options.json, *written))
     if several and (options.out or options.speed is not None):
         raise ConfigError(
