@@ -95,22 +95,15 @@ def walk(
     }
     track = [_step(step) for step in steps]
     cadence, method = _cadence(steps), travel.settings.method
-    return WalkResult(
-        steps=travel.steps,
-        cadence_hz=cadence,
-        method=method,
-        frames=frames,
-        track=track,
-        problems=tuple(reader.problems),
-        summary={
-            "steps": travel.steps,
-            "cadence_hz": cadence,
-            "method": method,
-            "frames": frames,
-            "track": track,
-        },
-        tables={"steps": _table(track)},
-    )
+    summary: dict[str, Any] = {
+        "steps": travel.steps,
+        "cadence_hz": cadence,
+        "method": method,
+        "frames": frames,
+        "track": track,
+    }
+    tables = {"steps": _table(track)}
+    return WalkResult(**summary, problems=tuple(reader.problems), summary=summary, tables=tables)
 
 
 def _need_compass(loaded: LoadedConfig) -> None:

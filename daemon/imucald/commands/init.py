@@ -178,7 +178,7 @@ def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:
 
 def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> GatheredFrames:
     from imucald.can.link.link import Link
-    from imucald.commands.listening import listen
+    from imucald.commands.check import listen
     from imucald.config_check import EVERY_FRAME
     from imucald.discovery import GatheredFrames
 

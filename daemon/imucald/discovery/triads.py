@@ -195,9 +195,7 @@ def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
         if not ordered[0].states("magnetic_field"):
             continue
         unit = _stated_or_first(ordered[0], "magnetic_field")
-        size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1)
-        middle = float(np.nanmedian(size)) * unit.factor if np.isfinite(size).any() else math.nan
-        found.append(Triad(ordered, unit, named, middle))
+        found.append(Triad(ordered, unit, named, _sizes(ordered)[1] * unit.factor))
     return _without_overlap(found)
 
 

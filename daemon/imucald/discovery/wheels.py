@@ -89,7 +89,10 @@ def find_wheels(
         wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
     }
     words = f"four similar speeds; {text}"
-    return Choice("wheel_speeds", sources, words, doubt or unsure), _metres(track)
+    choice = Choice("wheel_speeds", sources, words, doubt or unsure)
+    if track is None or not track.is_believed or track.sign < 0 or track.explained <= 0.8:
+        return choice, None
+    return choice, track.low if 0.8 < track.low < 3.0 else None
 
 
 def _by_turns(
@@ -145,9 +148,3 @@ def _track(
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)
     v = moving(0.25 * (fl + fr + rl + rr))
     return relation(motion.turn / v, right_less_left(fl, fr, rl, rr) / v)
-
-
-def _metres(track: Relation | None) -> float | None:
-    if track is None or not track.is_believed or track.sign < 0:
-        return None
-    return track.low if 0.8 < track.low < 3.0 and track.explained > 0.8 else None
