@@ -31,7 +31,7 @@ LISTEN_S = 10.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `check`."""
     parser.epilog = (
-        "Without LOG, check listens on the configuration's bus. It never sends. Exit status: 0 "
+        "Without LOG, check listens on the configuration's bus; check never sends. Exit status: 0 "
         "the configuration can be used, 1 something necessary is missing or wrong. With "
         "--strict, warnings give 1 too."
     )

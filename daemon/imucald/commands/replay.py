@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `replay`."""
     parser.epilog = (
         "Several logs are several drives of one vehicle, each replayed on its own. Logs that "
-        "overlap in time are reported, and whether the mounts of successive drives agree. For "
+        "overlap in time are reported, and the mounts of successive drives are compared. For "
         "several vehicles use 'imucald fleet'. With --joined the logs are pieces of "
         "one recording. A frame that is in two pieces counts twice, and such frames are reported. "
         "Exit status: 0 done (with any state of the mount), 1 a log could not be read or has no "
