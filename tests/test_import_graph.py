@@ -105,7 +105,6 @@ LAZY_MODULES: Mapping[str, str] = {
     "inputs.wiring._raw_route: inputs.expression": "0.2 ms: few have a raw source",
     "report.page._breakable: markupsafe": "comes with jinja2, an extra",
     "report.page._pictures: report.plots": "loads matplotlib",
-    "report.replay_page.replay_page: report.motion_plots": "loads matplotlib",
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
     "runtime.estimators.known_mount: mount.restored": "with it",

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from imucald.api.checking import CheckReport, check
     from imucald.api.configuration import Configuration as Config
-    from imucald.api.correction import CorrectionResult
     from imucald.api.diagnosing import DiagnosisResult, diagnose
     from imucald.api.drive import DriveResult
     from imucald.api.drives import DriveSet
     from imucald.api.files.reading import open_result
     from imucald.api.logs import find_logs
-    from imucald.api.mount import MountResult
+    from imucald.api.mount import CorrectionResult, MountResult
     from imucald.api.replaying import replay
     from imucald.api.streaming import DrivePart, DriveStream, stream
     from imucald.api.walking import WalkResult, walk
@@ -39,7 +38,7 @@ _PLACES = {
     "Fleet": ("fleet.opened", "FleetTables"),
     "ImucaldError": ("core.errors", "ImucaldError"),
     "LogError": ("core.errors", "LogError"),
-    "CorrectionResult": ("api.correction", "CorrectionResult"),
+    "CorrectionResult": ("api.mount", "CorrectionResult"),
     "MountResult": ("api.mount", "MountResult"),
     "WalkResult": ("api.walking", "WalkResult"),
     "check": ("api.checking", "check"),

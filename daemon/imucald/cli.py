@@ -1,4 +1,5 @@
-"""The command line: `imucald COMMAND`. Each command has its own module in `commands`.
+"""The command line: `imucald COMMAND`. Each command has its own module in `commands`; the orders to
+a running daemon share one.
 
 A module is imported only when its command is used, so that `imucald run` starts without unneeded
 modules. Exit status: 0 success, 1 error (explained on stderr), 2 wrong usage, 78 wrong
@@ -101,6 +102,8 @@ GROUPS = {
 }
 """Commands grouped by purpose, in the order of the help text."""
 COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
+ORDERS = frozenset({"reset", "hold", "release", "set-mount"})
+"""Commands of the module `commands.orders`."""
 
 
 class _Help(argparse.HelpFormatter):
@@ -193,7 +196,8 @@ def _formatter(prog: str, kind: type[_Help] = _Help) -> _Help:
 
 
 def _command(name: str) -> ModuleType:
-    return importlib.import_module(f"imucald.commands.{name.replace('-', '_')}")
+    module = "orders" if name in ORDERS else name.replace("-", "_")
+    return importlib.import_module(f"imucald.commands.{module}")
 
 
 def _unknown_command(name: str) -> str:
@@ -283,7 +287,7 @@ def _done(argv: Sequence[str] | None) -> int:
     except ImucaldError as error:
         for line in str(error).splitlines():
             print(f"imucald: {line}", file=sys.stderr)
-        return 1
+        return error.exit_status
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]
         if library not in LARGE_LIBRARIES:

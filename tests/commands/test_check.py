@@ -138,7 +138,7 @@ MISTAKES = {
         ("ESC_Dynamics.LongitudinalAccel", "sign: -1"), "longitudinal_acceleration", "negative"),
     "longitudinal acceleration in another unit": (
         ("ESC_Dynamics.LongitudinalAccel", "unit: m/s^2"), "longitudinal_acceleration",
-        "too little"),
+        "too small"),
     "speed in another unit": (
         ("ESC_Speed.VehicleSpeed", "unit: m/s"), "speed", "km/h against m/s"),
     "miles for kilometres": (

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from imucald.commands.live_events import LiveEvent, LiveEvents
-from imucald.commands.monitor_view import input_health, monitor_picture
+from imucald.commands.monitor_view import LiveEvent, input_health, live_events, monitor_picture
 from imucald.commands.status import exit_status
 from imucald.commands.status_view import (
     headline,
@@ -28,7 +28,6 @@ from imucald.commands.status_view import (
     picture,
     print_status,
     short,
-    waits_for,
 )
 from imucald.core.errors import LinkError
 from imucald.mount.contradictions import WORDS, StandingFault
@@ -119,7 +118,7 @@ def test_the_first_line_says_whether_corrected_frames_flow_now(status, case):
         drawn(picture(now), 80),
         drawn(lambda c: monitor_picture(now, [], c, Text("")), 80, 24),
         [short(now)],
-        [waits_for(now)],
+        [short(now, with_angles=False)],
     ):
         assert lines[0].startswith(words)
         if changed.get("state") is None and words != SEEN_FIRST["all is well"][2]:
@@ -161,7 +160,7 @@ def test_nobody_is_asked_to_drive_while_nothing_flows(status):
     status["progress"] = PROGRESS
     silent = without_input(status)
     ended = "the daemon has ended"
-    for words in (short, waits_for):
+    for words in (short, partial(short, with_angles=False)):
         assert "3 min of driving" not in words(silent)
         assert "waiting for" not in words(silent)
     for size in ((100, 50), (80, 24)):
@@ -202,12 +201,12 @@ def test_a_low_terminal_shows_what_is_wrong_with_events_and_foot(status):
     status["health"] |= {"id_conflict": True}
     status["progress"] = PROGRESS
     status["mount"]["steep"] = "the angles of a steep mount go together: use the quaternion " * 2
-    events = events_of(status, status)
-    lines = drawn(lambda c: monitor_picture(status, events.events, c, Text("the foot")), 80, 24)
+    events = events_of(status, [{"at": 1.6e9, "level": "notice", "text": "usable at 70.4 s"}])
+    lines = drawn(lambda c: monitor_picture(status, events, c, Text("the foot")), 80, 24)
     assert len(lines) <= 24
     assert lines[-1].strip() == "the foot"
     assert "now     another node sends our ids" in "\n".join(lines)
-    assert events.events[-1].clock in "\n".join(lines)
+    assert events[-1].clock in "\n".join(lines)
 
 
 @pytest.mark.parametrize(("height", "is_repeated"), [(24, True), (60, False)])
@@ -235,18 +234,15 @@ def test_an_angle_that_is_not_known_is_said_so_in_one_line(status):
     assert ", yaw not known; waiting for" in short(status)
 
 
-def events_of(*statuses) -> LiveEvents:
-    events = LiveEvents()
-    for second, one in enumerate(statuses):
-        events.update(one, 1.6e9 + second)
-    return events
+def events_of(status, logged=()) -> list[LiveEvent]:
+    return live_events(status, 1.6e9, logged)
 
 
 @pytest.mark.parametrize("width", [80, 100, 140])
 def test_no_reason_is_cut_at_any_width(status, width):
     events = events_of(status)
     for lines in (
-        drawn(lambda c: monitor_picture(status, events.events, c, Text("foot")), width, 50),
+        drawn(lambda c: monitor_picture(status, events, c, Text("foot")), width, 50),
         drawn(picture(status), width),
     ):
         assert max(map(len, lines)) <= width
@@ -352,67 +348,38 @@ def test_a_mount_that_stays_fine_beyond_its_limit_shows_how_long(status):
     assert "fine below ±0.60°" not in text
 
 
-def test_a_reason_that_changes_within_a_state_is_an_event(status):
-    other = copy.deepcopy(status) | {"waiting_for": {"yaw": "turns"}}
-    events = events_of(status, *[other] * 15)
-    assert [(e.kind, e.text) for e in events.events][-1] == ("reason", "waiting for yaw: turns")
-    assert sum(e.kind == "reason" for e in events.events) == 1
-
-
-def test_events_are_in_the_order_of_their_times(status):
-    """A reason is reported 12.8 s after it began, with the time at which it began."""
-    other = copy.deepcopy(status) | {"waiting_for": {"yaw": "turns"}}
-    down = copy.deepcopy(other)
-    down["link"]["state"] = "down"
-    events = events_of(status, *[other] * 5, *[down] * 10).events
-    kinds = [e.kind for e in events if e.kind in ("reason", "bus")]
-    assert kinds == ["reason", "bus"]
-    assert [e.at for e in events] == sorted(e.at for e in events)
-
-
-def test_a_monitor_that_is_opened_late_begins_with_what_the_daemon_logged(status):
-    events = LiveEvents()
-    events.remember([{"at": 1.5e9, "level": "notice", "text": "usable at 70.4 s"}])
-    status["health"] |= {"speed_missing": True}  # since before: in the log
-    events.update(status, 1.6e9)
-    assert [(e.at, e.kind, e.text) for e in events.events] == [(1.5e9, "log", "usable at 70.4 s")]
-
-
-def test_a_monitor_that_is_opened_on_a_silent_bus_repeats_no_alarm_of_the_log(status):
-    events = LiveEvents()
-    events.remember([{"at": 1.5e9, "level": "warning", "text": "no speed"}])
-    status |= {"signals": {}, "uptime_s": 60.0}
-    status["health"] |= {"speed_missing": True}
-    for second in range(3):
-        events.update(status, 1.6e9 + second)
-    assert [e.text for e in events.events] == ["no speed"]
+def test_a_monitor_shows_what_the_daemon_logged(status):
+    logged = [{"at": 1.5e9, "level": "notice", "text": "usable at 70.4 s"},
+              {"at": 1.5e9 + 1.0, "level": "warning", "text": "no speed"}]  # fmt: skip
+    found = [(e.at, e.kind, e.text) for e in events_of(status, logged)]
+    assert found == [(1.5e9, "log", "usable at 70.4 s"), (1.5e9 + 1.0, "alarm", "no speed")]
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (120, 30), (140, 40)])
 def test_the_picture_fits_the_terminal_with_its_newest_event_and_foot(status, width, height):
-    events = LiveEvents()
     status["progress"] = PROGRESS
     status["correction"] = {
         "cross_talk_std_deg": dict.fromkeys(("xy", "yx", "zx", "zy"), 0.3),
         "gyro_cross_talk_std_deg": dict.fromkeys(("xz", "yz"), 0.3),
         "zero_std_mps2": [0.1, 0.1, None],
     }
-    other = copy.deepcopy(status) | {"state": "suspect"}
-    for second in range(30):
-        events.update(status if second % 2 else other, 1.6e9 + second)
-    lines = drawn(
-        lambda c: monitor_picture(status, events.events, c, Text("the foot")), width, height
-    )
+    logged = [
+        {"at": 1.6e9 + k, "level": "notice", "text": f"suspect at {k}.0 s ({REASON})"}
+        for k in range(30)
+    ]
+    events = events_of(status, logged)
+    lines = drawn(lambda c: monitor_picture(status, events, c, Text("the foot")), width, height)
     assert len(lines) <= height
     assert lines[-1].strip() == "the foot"
-    assert events.events[-1].clock in "\n".join(lines)
+    assert events[-1].clock in "\n".join(lines)
 
 
 def test_what_happened_before_a_long_silence_keeps_its_time_of_day(status):
     status["duration_s"] = 110.0  # 100 s of frames, and the 10 s that stream time goes on
     status["silent_s"] = 3600.0
-    (usable,) = [e for e in events_of(status).events if "first time" in e.text]
-    assert usable.at == pytest.approx(1.6e9 - 3600.0 - 100.0 + 76.8)
+    status["details"] = {"shifts": [{"t": 40.0, "angle": "yaw", "size_deg": 5.0}]}
+    (moved,) = events_of(status)
+    assert moved.at == pytest.approx(1.6e9 - 3600.0 - 100.0 + 40.0)
 
 
 def test_evidence_says_what_counts(status):
@@ -482,7 +449,7 @@ def test_a_saved_mount_that_this_drive_contradicts_is_the_reason_and_one_event(s
     )
     later = copy.deepcopy(suspect)
     later["details"]["restored"]["contradicted"]["turned_deg"] = 171.8
-    faults = [e.text for e in events_of(suspect, later).events if e.kind == "fault"]
+    faults = [e.text for e in events_of(later) if e.kind == "fault"]
     assert faults == [now(later)]
     assert "off by 172 deg" in faults[0]
 
@@ -536,61 +503,39 @@ def test_an_older_daemon_without_the_new_keys_is_shown(status):
     assert "below" not in text
 
 
-def test_events_are_reported_once_with_the_time_of_day(silent, status):
-    down = copy.deepcopy(status)
-    down["link"]["state"] = "down"
-    down["health"]["speed_missing"] = True
-    down["details"] = {"shifts": [{"t": 40.0, "angle": "yaw", "size_deg": 5.0}]}
-    events = events_of(silent, status, status, down, down, status)
-    kinds = [(event.kind, event.text.partition(":")[0]) for event in events.events]
-    assert kinds == [
-        ("moved", "the sensor was found moved"),
-        ("state", "waiting"),
-        ("state", "usable"),
-        ("bus", f"{status['link']['channel']} is down"),
-        ("alarm", "no speed"),
-        ("bus", f"{status['link']['channel']} is up"),
-        ("alarm", "no speed"),
+def test_a_move_stands_between_the_lines_of_the_log_with_its_time_of_day(status):
+    status["details"] = {"shifts": [{"t": 40.0, "angle": "yaw", "size_deg": 5.0}]}
+    logged = [
+        {"at": 1.6e9 - age, "level": "notice", "text": f"{age:g} s ago"} for age in (90.0, 1.0)
     ]
-    moved = events.events[0]
-    assert moved.at == 1.6e9 + 3 - 100.0 + 40.0
+    before, moved, after = events_of(status, logged)
+    assert (before.text, after.text) == ("90 s ago", "1 s ago")
+    assert moved.kind == "moved"
+    assert moved.at == 1.6e9 - status["duration_s"] + 40.0
     assert moved.clock == time.strftime("%H:%M:%S", time.localtime(moved.at))
 
 
-def test_what_is_known_later_of_an_event_takes_its_place(silent, status):
-    shift = {"t": 40.0, "angle": "yaw", "size_deg": 5.0, "turn_deg": None}
-    first, later = copy.deepcopy(status), copy.deepcopy(status)
-    first["details"] = {"shifts": [shift]}
-    later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.1, 7.0]}]}
-    moved = [e for e in events_of(silent, first, later).events if e.kind == "moved"]
-    assert [e.text for e in moved] == ["the sensor was found moved: by +7.0 deg about the up axis"]
+def test_a_sensor_that_was_found_where_it_was_is_not_said_to_be_moved(status):
+    shift = {"t": 40.0, "angle": "yaw", "size_deg": 5.0, "turn_deg": [0.0, 0.0, -0.1]}
+    status["details"] = {"shifts": [shift | {"within_deg": 1.2}]}
+    (found,) = events_of(status)
+    assert found.kind == "evidence"
+    assert found.text == "the mount was determined again and is the same, within ±1.2 deg"
 
 
-def test_a_sensor_that_was_found_where_it_was_is_no_longer_said_to_be_moved(silent, status):
-    shift = {"t": 40.0, "angle": "yaw", "size_deg": 5.0, "turn_deg": None, "within_deg": None}
-    first, later = copy.deepcopy(status), copy.deepcopy(status)
-    first["details"] = {"shifts": [shift]}
-    later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.0, -0.1], "within_deg": 1.2}]}
-    events = events_of(silent, first, later).events
-    (text,) = (e.text for e in events if e.kind in ("moved", "evidence"))
-    assert text == "the mount was determined again and is the same, within ±1.2 deg"
-
-
-def test_two_faults_of_one_moment_are_both_listed(silent, status):
+def test_two_faults_of_one_moment_are_both_listed(status):
     both = copy.deepcopy(status)
     names = [StandingFault.ORIENTATION, StandingFault.FORWARD]
     both["details"] = {"faults": [{"t": 40.0, "fault": name.value} for name in names]}
-    listed = [e.text for e in events_of(silent, both, both).events if e.kind == "fault"]
+    listed = [e.text for e in events_of(both) if e.kind == "fault"]
     assert listed == [WORDS[name] for name in names]
 
 
-def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(silent, status):
+def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(status):
     stated = copy.deepcopy(status) | {"state": "restored", "quality": 1}
     for one, is_stated in ((stated, False), (status, True)):
         text = "\n".join(drawn(picture(one), 140))
-        texts = [event.text for event in events_of(one).events]
         assert ("usable after" in text) == is_stated
-        assert ("usable for the first time" in texts) == is_stated
 
 
 # the page --------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from imucald.discovery.mirrored import hold_against_usual_signs
+from imucald.discovery.heading import hold_against_usual_signs
 from imucald.discovery.proposal import Choice, Proposed
 from imucald.mount.mirror import DOUBTED, probability
 

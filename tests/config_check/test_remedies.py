@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from imucald.config_check.axes import gain_findings
 from imucald.config_check.decoding import _REMEDIES, _remedy
-from imucald.config_check.yaw_rate_check import gain_findings
 from imucald.inputs.rate_guard import DUPLICATE, TOO_FAST
 
 

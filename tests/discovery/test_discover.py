@@ -141,7 +141,7 @@ def test_the_example_bus_is_found_and_check_accepts_it(drive, tmp_path, capsys):
 
 def test_the_product_of_wheelbase_and_steering_ratio_is_stated_once(drive):
     written = as_yaml(proposed(EXAMPLE, drive), [str(EXAMPLE)])
-    assert len(re.findall(r"[\d.]+ m\b(?!/)", written.replace("wheelbase of 2.7 m", ""))) == 1
+    assert len(re.findall(r"[\d.]+ m\b(?!/)", written.replace("wheelbase of 2.68 m", ""))) == 1
 
 
 def test_signals_that_turn_the_other_way_get_their_sign(drive, tmp_path):

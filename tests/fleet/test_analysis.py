@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from imucald.commands.fleet_view import print_analysis
+from imucald.commands.fleet_read import print_analysis
 from imucald.fleet import page
 from imucald.fleet.analysis.analyse import analysed
 from imucald.fleet.analysis.components import between_drives, between_vehicles

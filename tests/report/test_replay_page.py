@@ -121,10 +121,9 @@ def test_the_corrected_force_is_what_a_control_unit_would_have_decoded(moved, tm
     history = DriveHistory()
     engine = make_engine(config, on_samples=history.samples)
     reader = LogReader([log], engine.router.matches)
-    sent, take = [], history.sink(engine)
+    sent = []
 
     def sink(frames):
-        take(frames)
         rows = frames.can_id == 0x640
         sent.extend(zip(frames.t[rows], frames.data[rows].tolist(), strict=True))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.api.correction import CorrectionResult
+from imucald.api.mount import CorrectionResult
 from imucald.mount.estimate import Correction, MountEstimate, MountState, SentDeviations
 from imucald.mount.mount_words import sent_words
 from imucald.runtime.summary import correction_dict

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from imucald.commands.status import FAULT, NOT_RUNNING, NOT_YET, find_socket
+from imucald.commands.status import FAULT, NOT_YET, find_socket
 from imucald.core.errors import LinkError
+from imucald.service.asking import NotRunningError
 from imucald.service.status import StatusServer
 from paths import ROOT
 
@@ -120,8 +121,8 @@ def test_root_needs_no_folder_for_run_and_status_to_find_each_other(channel, tmp
         env=environment, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        answer, end = NOT_RUNNING, time.monotonic() + 30.0
-        while answer == NOT_RUNNING and time.monotonic() < end:
+        answer, end = NotRunningError.exit_status, time.monotonic() + 30.0
+        while answer == NotRunningError.exit_status and time.monotonic() < end:
             asked = [*command, "status", "--quiet"]
             answer = subprocess.run(
                 asked, env=environment, stderr=subprocess.DEVNULL, check=False

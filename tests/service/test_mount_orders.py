@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imucald import cli
-from imucald.commands import set_mount
+from imucald.commands import orders
 from imucald.config.calibration import KnownMount
 from imucald.core.rotations import rotation_from_angles
 from imucald.runtime.mount_orders import TESTER, OrderError
@@ -51,7 +51,7 @@ def test_a_deviation_that_is_none_is_refused_by_the_options_name(std, capsys):
 )
 def test_within_is_the_interval_that_status_shows(given, std_deg, monkeypatch):
     sent = {}
-    monkeypatch.setattr(set_mount, "give", lambda *_, **order: sent.update(order) or 0)
+    monkeypatch.setattr(orders, "_give", lambda *_, **order: sent.update(order) or 0)
     assert cli.main(["set-mount", "1", "2", "3", *given]) == 0
     assert sent["mount"]["std_deg"] == std_deg
 

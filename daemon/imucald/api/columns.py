@@ -43,7 +43,6 @@ _DTYPES: Mapping[str, Any] = {
     "time": np.int64,
 }
 
-_WHEELS = ("fl", "fr", "rl", "rr")
 
 HISTORY_COLUMNS = (
     *TIMES,
@@ -60,12 +59,11 @@ EVENT_COLUMNS = (
     TableColumn("text", "", "text"),
     *(TableColumn(f"d_{axis}_deg", "deg") for axis in "xyz"),
 )
-QUALITY = TableColumn("quality", "1", "int8")
 
 
 def corrected_columns(kind: str) -> tuple[TableColumn, ...]:
     """Columns for the corrected samples of a sensor; kind: "accel", "gyro" or "mag"."""
-    return (*TIMES, *_triad(kind, ""), QUALITY)
+    return (*TIMES, *_triad(kind, ""), TableColumn("quality", "1", "int8"))
 
 
 def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...]:
@@ -78,7 +76,10 @@ def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...
     if quantity.width == 3:
         return (*TIMES, *_triad(sensor, "raw_"))
     if sensor == "wheel_speeds":
-        return (*TIMES, *(TableColumn(f"raw_wheel_speed_{w}_mps", "m/s") for w in _WHEELS))
+        return (
+            *TIMES,
+            *(TableColumn(f"raw_wheel_speed_{w}_mps", "m/s") for w in ("fl", "fr", "rl", "rr")),
+        )
     if not quantity.unit:
         return (*TIMES, TableColumn(f"raw_{sensor}", "1"))
     return (*TIMES, TableColumn(f"raw_{sensor}_{quantity.suffix}", quantity.unit))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from imucald.config import LoadedConfig
-from imucald.config.example import example_path
+from imucald.config.root import example_path
 from imucald.runtime.session import open_config
 
 PathLike = str | os.PathLike[str]

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.api.columns import Columns
 from imucald.api.configuration import PathLike
-from imucald.api.correction import CorrectionResult
-from imucald.api.mount import MountResult
+from imucald.api.mount import CorrectionResult, MountResult
 from imucald.api.table_access import TableAccess
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ class DriveResult(TableAccess):
         """Plots, drawn with matplotlib (the extra "report"), which is loaded by the first plot."""
         from imucald.api.plots import DrivePlots  # noqa: PLC0415
 
-        return DrivePlots(self)
+        return DrivePlots(self.tables, self.summary)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a copy of the output of `imucald replay --json`, as plain data."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,33 +16,17 @@ from imucald.mount.mount_words import SD_95
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MAX_POINTS = 20_000
-"""Largest number of points of a line. A screen has fewer pixels."""
-
-
-class Drawn(Protocol):
-    """The attributes of a drive that the plots need."""
-
-    @property
-    def tables(self) -> Mapping[str, Columns]:
-        """Tables by name."""
-        ...
-
-    @property
-    def summary(self) -> Mapping[str, Any]:
-        """The content of `replay --json`."""
-        ...
-
 
 class DrivePlots:
     """Plots of one drive. Each method draws into `ax` (None: new axes) and returns the axes."""
 
-    def __init__(self, drive: Drawn) -> None:
-        self._drive = drive
+    def __init__(self, tables: Mapping[str, Columns], summary: Mapping[str, Any]) -> None:
+        """summary: the content of `replay --json`."""
+        self._tables, self._summary = tables, summary
 
     def mount(self, ax: Axes | None = None) -> Axes:
         """Plot the three angles [deg] with their 95 % intervals over time [s]."""
-        history = self._drive.tables[HISTORY]
+        history = self._tables[HISTORY]
         ax = _axes(ax)
         for name in ANGLES:
             value, std = history[f"{name}_deg"], history[f"{name}_std_deg"]
@@ -59,13 +43,13 @@ class DrivePlots:
     def signals(self, table: str = "accel", ax: Axes | None = None) -> Axes:
         """Plot the numbers of a table over time [s]. table: a name such as "gyro" or
         "raw/speed"."""
-        found = self._drive.tables.get(table)
+        found = self._tables.get(table)
         if found is None:
             raise ImucaldError(
-                f"there is no table {table!r} here; there are: {', '.join(self._drive.tables)}"
+                f"there is no table {table!r} here; there are: {', '.join(self._tables)}"
             )
         ax = _axes(ax)
-        every = max(1, len(found) // MAX_POINTS)
+        every = max(1, len(found) // 20_000)  # a screen has fewer pixels
         for column in found.columns:
             if column.kind == "float" and column.name != "t_s":
                 values = found[column.name][::every]
@@ -75,7 +59,7 @@ class DrivePlots:
     def evidence(self, ax: Axes | None = None) -> Axes:
         """Plot for each kind of evidence the standard deviations [deg] that the mount would have
         with this evidence alone."""
-        found = self._drive.summary["details"].get("evidence_std_deg", {})
+        found = self._summary["details"].get("evidence_std_deg", {})
         ax = _axes(ax)
         ax.barh(list(found), list(found.values()))
         ax.set_xscale("log")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from imucald.api.columns import (
     corrected_columns,
     raw_columns,
 )
-from imucald.api.growing_table import GrowingTable
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.arrays import Array
 from imucald.motion.ticks import TICK_RATE
@@ -36,8 +36,6 @@ BLOCK_ROWS = 1000
 """When the history has this many new rows, they are moved to an array of numbers."""
 SHIFT = "shift"
 """Kind of event: the sensor was moved."""
-EVIDENCE = "evidence"
-"""Kind of event: a change of the mount that lies within its own 95 % interval."""
 LATEST_US = 2**62
 """Limit of times of day [us], so that a damaged time stamp cannot overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
@@ -46,14 +44,10 @@ _UPPER = (0, 1, 2, 4, 5, 8)
 
 class Recorder:
     """Collects history, events and (with `signals`) samples. The engine calls the methods of the
-    recorder.
+    recorder."""
 
-    share: function that returns the share of the logs that has been read; None if the share is not
-    known.
-    """
-
-    def __init__(self, signals: bool, share: Callable[[], float | None] = lambda: None) -> None:
-        self._signals, self._share = signals, share
+    def __init__(self, signals: bool) -> None:
+        self._signals = signals
         self._states: list[str] = []
         self._rows: list[list[float]] = []
         self._blocks: list[Array] = []
@@ -67,7 +61,7 @@ class Recorder:
         self._shifts: list[Mapping[str, Any]] = []
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
-        self._tables: dict[str, GrowingTable] = {}
+        self._parts: dict[str, list[deque[NDArray[Any]]]] = {}
         self.rows = 0
         """Number of sample rows that `take_signals` has not returned yet."""
 
@@ -106,10 +100,9 @@ class Recorder:
             self._put(f"{RAW}{channel}", (series.t, times[series.row], *_by_axis(series.values)))
 
     def _put(self, name: str, columns: Sequence[NDArray[Any]]) -> None:
-        table = self._tables.get(name)
-        if table is None:
-            table = self._tables[name] = GrowingTable()
-        table.add_rows(columns, self._share())
+        parts = self._parts.setdefault(name, [deque() for _ in columns])
+        for column, part in zip(parts, columns, strict=True):
+            column.append(part)
         self.rows += len(columns[0])
 
     def _take_changes(self, snapshot: Snapshot) -> None:
@@ -155,7 +148,7 @@ class Recorder:
         turns = np.full((3, len(rows)), math.nan)
         rows_of_shifts = [i for i, kind in enumerate(kinds) if kind == SHIFT]
         for i, shift in zip(rows_of_shifts, self._shifts, strict=False):  # the last may be missing
-            kinds[i], texts[i] = SHIFT if is_move(shift) else EVIDENCE, moved_words(shift)
+            kinds[i], texts[i] = SHIFT if is_move(shift) else "evidence", moved_words(shift)
             if shift["turn_deg"]:
                 turns[:, i] = shift["turn_deg"]
         t = np.array(times, dtype=float)
@@ -165,24 +158,30 @@ class Recorder:
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
         """Return the samples since the last call, by table. kinds: the kind of sensor of each
         channel."""
-        taken, self._tables, self.rows = self._tables, {}, 0
+        taken, self._parts, self.rows = self._parts, {}, 0
         found: dict[str, Columns] = {}
-        for name, table in taken.items():
+        for name, parts in taken.items():
             channel = name.removeprefix(RAW)
             kind = kinds.get(channel, channel)
             columns = raw_columns(channel, kind) if name != channel else corrected_columns(kind)
-            arrays = table.columns()
+            arrays = [_joined(column) for column in parts]
             arrays[0] += lead
             found[name] = columns_from(columns, arrays)
         return found
 
     def _times(self, t: Array) -> NDArray[np.int64]:
-        """Convert stream times to times of day [us], with the offset of their segment."""
         if not self._segments:
             return np.zeros(len(t), np.int64)
         starts, offsets = np.array(self._segments).T
         of = np.maximum(np.searchsorted(starts, t, side="right") - 1, 0)
         return microseconds(t + offsets[of])
+
+
+def _joined(parts: deque[NDArray[Any]]) -> NDArray[Any]:
+    """Join the parts of a column and drop them, so that only one column is there twice."""
+    whole = np.concatenate(parts)
+    parts.clear()
+    return whole
 
 
 def _history_figures(e: MountEstimate) -> list[float]:
@@ -218,7 +217,6 @@ def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
 
 
 def _by_axis(values: Array) -> Array:
-    """Transpose samples (N,) or (N, axes), so that the axes come first."""
     return np.atleast_2d(values.T)
 
 

@@ -6,11 +6,10 @@ import os
 from collections.abc import Callable, Sequence
 from typing import BinaryIO, Literal, overload
 
-from imucald.api.between_drives import between_drives
 from imucald.api.blas_threads import on_one_thread
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult
-from imucald.api.drives import DriveSet
+from imucald.api.drives import DriveSet, between_drives
 from imucald.api.logs import LogSource
 from imucald.api.run import Progress, ReplayRun, require_frames
 from imucald.core.errors import LogError

@@ -24,7 +24,6 @@ MAX_ROWS = 50_000_000
 
 A request for more rows shows that the stated rate is a mistake.
 """
-SKIPPED = ("t_s", "time", "quality")
 
 
 def resampled(tables: Mapping[str, Columns], rate_hz: float) -> Columns:
@@ -52,7 +51,9 @@ def resampled(tables: Mapping[str, Columns], rate_hz: float) -> Columns:
 
 
 def _numbers(name: str, table: Columns) -> list[TableColumn]:
-    found = [c for c in table.columns if c.kind == "float" and c.name not in SKIPPED]
+    found = [
+        c for c in table.columns if c.kind == "float" and c.name not in ("t_s", "time", "quality")
+    ]
     if not found or any(c.kind == "text" for c in table.columns):
         raise ImucaldError(f"{name} is not a table of samples, so it cannot be resampled")
     return found

@@ -4,7 +4,7 @@ too."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from imucald.api.recorder import Recorder, microseconds
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.errors import NoFramesError
 from imucald.core.text import counted
-from imucald.runtime.engine import Engine
+from imucald.report.drive_history import DriveHistory
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
 from imucald.runtime.segment_samples import SegmentSamples
@@ -67,28 +67,12 @@ def refuse_empty(frames: int, logs: Iterable[object]) -> None:
         raise NoFramesError(f"{', '.join(map(str, logs))}: holds no CAN frame")
 
 
-class Watcher(Protocol):
-    """An observer of a run, for example the object that draws the HTML page."""
-
-    def samples(self, part: SegmentSamples, /) -> None:
-        """Receive the samples of a time segment."""
-
-    def snapshot(self, snapshot: Snapshot, /) -> None:
-        """Receive a snapshot of the estimate."""
-
-    def sink(self, engine: Engine, /) -> Sink:
-        """Return the receiver for the frames that the daemon would send."""
-
-    def begins(self, lead: float, /) -> None:
-        """Receive the time [s] from the beginning of the log to the first configured frame."""
-
-
 class ReplayRun:
     """The replay of the pieces of one recording through a new engine.
 
     sink: receives the frames that the daemon would send. speed: 1 is real time, None means as fast
     as possible.
-    watcher: observes the run.
+    watcher: gets samples and estimates, for the HTML page.
     Raises ConfigError.
     """
 
@@ -101,12 +85,12 @@ class ReplayRun:
         strict: bool = False,
         sink: Sink | None = None,
         speed: float | None = None,
-        watcher: Watcher | None = None,
+        watcher: DriveHistory | None = None,
     ) -> None:
         sources = [opened(log) for log in logs]
         self.logs = tuple(str(source) for source in sources)
         self._signals = signals
-        self._recorder = Recorder(signals, lambda: self._reader.share)
+        self._recorder = Recorder(signals)
         snapshot: Callable[[Snapshot], None] = self._recorder.snapshot
         samples: Callable[[SegmentSamples], None] = self._recorder.samples
         if watcher is not None:
@@ -116,9 +100,6 @@ class ReplayRun:
         router = self.engine.router
         reading = sources, router.matches, strict, progress, router.stated_cycles
         self._reader = LogReader(*reading)
-        if watcher is not None:
-            seen = watcher.sink(self.engine)
-            sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
         self._watcher = watcher
         self._kinds = self.engine.output.sensor_of
@@ -157,7 +138,7 @@ class ReplayRun:
         engine, reader = self.engine, self._reader
         lead = self._replay.lead
         if self._watcher is not None:
-            self._watcher.begins(lead)
+            self._watcher.lead = lead
         left_out = self._recorder.events_left_out
         notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
         notes = [f"part of the model that is not used: {note}" for note in notes]

@@ -24,7 +24,6 @@ from imucald.runtime.consumers import TravelConsumer
 from imucald.runtime.timebase import TimeBase
 from imucald.travel_direction.direction import Step, TravelDirection
 
-STEPS = "steps"
 _ANGLES = (
     "heading_deg", "compass_deg", "alternative_deg", "published_deg", "tilt_deg",
     "correlation_deg", "deviation_deg",
@@ -96,22 +95,15 @@ def walk(
     }
     track = [_step(step) for step in steps]
     cadence, method = _cadence(steps), travel.settings.method
-    return WalkResult(
-        steps=travel.steps,
-        cadence_hz=cadence,
-        method=method,
-        frames=frames,
-        track=track,
-        problems=tuple(reader.problems),
-        summary={
-            "steps": travel.steps,
-            "cadence_hz": cadence,
-            "method": method,
-            "frames": frames,
-            "track": track,
-        },
-        tables={STEPS: _table(track)},
-    )
+    summary: dict[str, Any] = {
+        "steps": travel.steps,
+        "cadence_hz": cadence,
+        "method": method,
+        "frames": frames,
+        "track": track,
+    }
+    tables = {"steps": _table(track)}
+    return WalkResult(**summary, problems=tuple(reader.problems), summary=summary, tables=tables)
 
 
 def _need_compass(loaded: LoadedConfig) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import (
@@ -18,6 +20,8 @@ from imucald.commands.options import (
 )
 
 if TYPE_CHECKING:
+    from imucald.can.columns import FrameColumns
+    from imucald.can.link.link import Frame, Link
     from imucald.config import LoadedConfig
     from imucald.config_check import Check
 
@@ -27,7 +31,7 @@ LISTEN_S = 10.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `check`."""
     parser.epilog = (
-        "Without LOG, check listens on the configuration's bus. It never sends. Exit status: 0 "
+        "Without LOG, check listens on the configuration's bus; check never sends. Exit status: 0 "
         "the configuration can be used, 1 something necessary is missing or wrong. With "
         "--strict, warnings give 1 too."
     )
@@ -99,9 +103,31 @@ def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
 
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
-    from imucald.commands.listening import listen
     from imucald.config_check import EVERY_FRAME
     from imucald.service.live import open_link
 
     link = open_link(loaded, EVERY_FRAME, frozenset(), options.interface, options.channel)
     listen(link, options.seconds, check.feed)
+
+
+def listen(link: Link, seconds: float, feed: Callable[[FrameColumns], None]) -> None:
+    """Pass on the frames that an open link receives in `seconds` [s], then close the link."""
+    from imucald.can.logs.frame_batches import columns_of_frames
+    from imucald.commands.terminal import countdown
+
+    with link, countdown(f"listening on {link.channel}", seconds) as tick:
+        began = time.monotonic()
+        waiting: list[Frame] = []
+
+        def pass_on() -> None:
+            frames = [(t, can_id, data, 0, False) for t, can_id, data in waiting]
+            feed(columns_of_frames(frames, (link.channel,)))
+            waiting.clear()
+
+        while (passed := time.monotonic() - began) < seconds:
+            waiting += link.receive(min(0.1, seconds - passed))
+            if len(waiting) >= 10_000:
+                pass_on()
+            tick(passed)
+        if waiting:
+            pass_on()

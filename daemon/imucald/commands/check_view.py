@@ -53,8 +53,8 @@ def _verdict(report: Mapping[str, Any], strict: bool) -> Text:
     warnings = report["warnings"]
     how_many = counted(warnings, "warning")
     if not report["usable"]:
-        besides = f" ({how_many} besides)" if warnings else ""
-        return Text(f"This configuration cannot be used yet{besides}.", style="bold red")
+        more = f": see the errors above, and {how_many}" if warnings else ": see the errors above"
+        return Text(f"This configuration cannot be used yet{more}.", style="bold red")
     if not warnings:
         return Text("This configuration can be used: no warnings.", style="bold green")
     if strict:
@@ -88,11 +88,7 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
 
 
 def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
-    """Make the table of quantities.
-
-    narrow: long names are broken at their dot. stacked: cells may have two lines; otherwise each
-    row is one line.
-    """
+    """narrow: long names are broken at their dot. stacked: cells may have two lines."""
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
     table.add_column("quantity", no_wrap=stacked)
     table.add_column("from", overflow="fold")
@@ -128,8 +124,7 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
 
 
 def _broken(name: str, most: int | None) -> str:
-    """Break a dotted name into two lines if it is longer than `most`. With most=None, return the
-    name unchanged."""
+    """Break a dotted name that is longer than `most` into two lines."""
     return name if most is None or len(name) <= most else name.replace(".", ".\n", 1)
 
 

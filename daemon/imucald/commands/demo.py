@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 from imucald.commands.monitor import add_web_argument
+from imucald.commands.options import add_mount
 from imucald.core.errors import ConfigError
 
 DEFAULT_MINUTES = 6.0
 """Length of the drive [min]. All angles converge during this drive. The user waits about fifteen
 seconds."""
 QUICK_MINUTES = 2.5
-LIVE_MINUTES = 30.0
 FASTEST = 20.0
 """Fastest speed, as a multiple of real time. A busy machine cannot reach it."""
 MAX_MINUTES = 120.0
@@ -25,8 +23,6 @@ MAX_MINUTES = 120.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `demo`."""
-    # Otherwise "-5,3,30" would be read as an option.
-    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
     parser.add_argument(
         "--seed",
         type=int,
@@ -40,9 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help=f"length of the drive (default: {DEFAULT_MINUTES:g})",
     )
-    parser.add_argument(
-        "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
-    )
+    add_mount(parser)
     parser.add_argument(
         "--quick", action="store_true", help=f"simulate only {QUICK_MINUTES:g} minutes"
     )
@@ -72,7 +66,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _command(options: argparse.Namespace, minutes: float) -> str:
-    """Return the command line that shows the same drive."""
     mount = f" --mount {options.mount}" if options.mount else ""
     return f"imucald demo --seed {options.seed} --minutes {minutes:g}{mount} --svg FILE"
 
@@ -95,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
         if not 0.1 <= options.speed <= FASTEST:
             raise ConfigError(f"--speed must be between 0.1 and {FASTEST:g}")
-        minutes = options.minutes or LIVE_MINUTES
+        minutes = options.minutes or 30.0
         bus = options.interface, options.channel, options.speed
         run_live(options.seed, minutes, options.mount, *bus, options.web)
         return 0
@@ -103,11 +96,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
-    """Show a drive as fast as possible, its result, and (if requested) its picture."""
     from imucald.commands.demo_drive import Demonstration
-    from imucald.commands.demo_picture import Picture
-    from imucald.commands.demo_result import print_result, write_svg
-    from imucald.commands.demo_view import LiveView, PlainView
+    from imucald.commands.demo_picture import (
+        LiveView,
+        Picture,
+        PlainView,
+        print_result,
+        write_svg,
+    )
     from imucald.commands.simulate import chosen_model
     from imucald.simulation.drive import simulate
     from imucald.traffic.drive_encoder import example_config
@@ -121,8 +117,7 @@ def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
     drive = simulate(model, options.seed, minutes)
     view = LiveView(options.seed) if sys.stdout.isatty() else PlainView(options.seed)
     picture = Picture()
-    with ExitStack() as stack:
-        demonstration = stack.enter_context(Demonstration(drive, example_config()))
+    with Demonstration(drive, example_config()) as demonstration:
         with view:
             for _ in demonstration.run():
                 view.show(demonstration)

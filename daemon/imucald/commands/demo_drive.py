@@ -43,7 +43,6 @@ LAST_S = 60.0
 """Length of the part at the end of the drive in which acceleration and truth are compared [s]."""
 UNKNOWN_STD = 1.0
 """An angle with a larger standard deviation counts as unknown [rad]."""
-ACCEL = "accel"
 
 _LISTENER = """
 database: imucald_out.dbc
@@ -202,7 +201,7 @@ class Demonstration:
 
     def acceleration(self) -> tuple[NDArray[np.float64], tuple[float, ...] | None]:
         """Return the newest acceleration as measured (3,) and as corrected [m/s^2]."""
-        series = self.drive.samples[ACCEL]
+        series = self.drive.samples["accel"]
         i = min(max(self.listener.frames, 1), len(series.t)) - 1
         return series.values[i], self.listener.values[-1] if self.listener.values else None
 
@@ -212,7 +211,7 @@ class Demonstration:
 
         Each accelerometer sample gives one corrected frame, so sample n belongs to frame n.
         """
-        series, truth = self.drive.samples[ACCEL], self.drive.truth
+        series, truth = self.drive.samples["accel"], self.drive.truth
         n = min(len(self.listener.values), len(series.t))
         chosen = [
             i

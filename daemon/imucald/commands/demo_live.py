@@ -26,7 +26,7 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can
 from imucald.commands.monitor import watch
 from imucald.commands.terminal import plain_console
-from imucald.config.example import example_path
+from imucald.config.root import example_path
 from imucald.core.errors import ConfigError, LinkError
 from imucald.core.orientation_words import sits_words
 from imucald.core.rotations import rotation_from_angles
@@ -40,7 +40,6 @@ START_S = 10.0
 """Longest time until the daemon's socket must answer [s]."""
 AHEAD_S = 0.002
 """Frames due within this time are sent at once [s], because shorter sleeps are not reliable."""
-CHANNELS = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketcan": "vcan0"}
 
 
 class SimulatedBus:
@@ -112,7 +111,8 @@ def run_live(
             "--speed needs the virtual bus (leave --interface out): on other buses, frames "
             "get the time at which they arrive"
         )
-    channel = channel or CHANNELS.get(interface, "")
+    usual = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketcan": "vcan0"}
+    channel = channel or usual.get(interface, "")
     note = f"simulated car (seed {seed}) on {interface} {channel}"
     note += f", {speed:g} times real time" if speed != 1.0 else ""
     with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder:
@@ -136,7 +136,6 @@ def run_live(
 
 
 def _found(socket: Path) -> str:
-    """Return the last mount of the daemon as text."""
     try:
         status = content(socket, "status", ask(socket, "status"))
     except LinkError:
@@ -159,7 +158,6 @@ def _simulated(log: Path, seed: int, minutes: float, mount: str | None) -> dict[
 
 @contextmanager
 def _daemon(interface: str, channel: str) -> Iterator[Path]:
-    """Run the daemon in a thread; yields its status socket."""
     with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder, _quiet() as journal:
         socket = Path(folder) / "status.sock"
         options = ServiceOptions(

@@ -7,7 +7,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
+from imucald.commands.options import (
+    LOG_HELP,
+    add_config,
+    add_quiet,
+    add_strict,
+    configuration,
+    print_problems,
+)
 from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
@@ -62,16 +69,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="processor time after which the search ends with the causes found so far (default: 40 "
         "s for each hour of driving, at least 30 s)",
     )
-    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    add_strict(parser)
     add_quiet(parser, "print no progress and no summary")
 
 
 def run(options: argparse.Namespace) -> int:
     """Read the drives, diagnose them, and write all requested reports."""
     from imucald.api.diagnosing import diagnosis_of
-    from imucald.commands.diagnose_view import share_bar
     from imucald.commands.files import STANDARD, write_text, write_yaml
     from imucald.commands.schema import MODEL
+    from imucald.commands.terminal import share_bar
     from imucald.runtime.summary import as_json
     from imucald.simulation import load_model
 
@@ -99,7 +106,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Raise ImucaldError before any work for options that would fail later."""
     from imucald.commands.files import STANDARD, check_files
     from imucald.core.errors import ConfigError
 
@@ -111,7 +117,7 @@ def _check(options: argparse.Namespace) -> None:
         seen[place] = log
     outputs = [options.json, options.write_model]
     if options.report:
-        from imucald.commands.report_folder import PAGE, check_report_folder
+        from imucald.commands.report_pages import PAGE, check_report_folder
 
         folder = options.report
         check_report_folder(folder)
@@ -133,7 +139,7 @@ def _read(config: Configuration, log: str, options: argparse.Namespace) -> Recor
 
 
 def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> Path:
-    from imucald.commands.report_folder import about_now, write_page
+    from imucald.commands.report_pages import about_now, write_page
     from imucald.report.page import report_page
 
     model = options.model.name if options.model else "plain car, mount from these drives"

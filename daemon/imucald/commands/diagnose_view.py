@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from imucald.commands.terminal import plain_console, plain_where_needed, screen_console
+from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
 from imucald.report import titles
 from imucald.report import wording as words
@@ -22,30 +19,9 @@ if TYPE_CHECKING:
 SHOWN_CANDIDATES = 12
 SHOWN_STRUCTURE = 8
 SHOWN_NOTES = 12
-INDENT = (0, 0, 0, 2)
 
 COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold magenta",
            "nothing": "bold green"}  # fmt: skip
-
-
-@contextmanager
-def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
-    """Show a progress bar and the current step. Yields a callback with the arguments share done (0
-    to 1) and text of the step."""
-    if quiet or not sys.stderr.isatty():
-        yield _nothing
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    words_now = TextColumn("{task.description}", markup=False)
-    columns = (words_now, BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
-    with Progress(*columns, console=screen_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=1.0)
-        yield lambda share, doing: bar.update(task, completed=share, description=doing or text)
-
-
-def _nothing(share: float, doing: str) -> None:
-    """Show nothing, because the output is not a terminal."""
 
 
 def print_diagnosis(diagnosis: Diagnosis, has_file: bool = True) -> None:
@@ -108,11 +84,10 @@ def _print_cause(console: Console, cause: FoundCause, diagnosis: Diagnosis) -> N
         *filter(None, [card.evidence]),
         *(f"against it: {x}" for x in card.against),
     ):
-        console.print(Padding(text, INDENT))
+        console.print(Padding(text, (0, 0, 0, 2)))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
-    """Print the causes that these drives cannot distinguish, and the remaining errors."""
     if diagnosis.look_alikes:
         console.print()
     for group_titles, group in words.look_alike_groups(diagnosis).items():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import re
 from typing import TYPE_CHECKING
+
+from imucald.commands.options import allow_negative_numbers, numbers
 
 if TYPE_CHECKING:
     from imucald.core.rotations import Matrix3
@@ -12,8 +13,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `draw`."""
-    # Otherwise "-5,3,30" would be read as an option.
-    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
+    allow_negative_numbers(parser)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--mount", metavar="R,P,Y", help="roll, pitch and yaw of the sensor in degrees"
@@ -53,7 +53,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _command(options: argparse.Namespace) -> str:
-    """Return the command line that draws the same picture."""
     name = next(n for n in ("axes", "mount", "quaternion") if getattr(options, n))
     value = getattr(options, name)
     return f"imucald draw --{name}" if value is True else f"imucald draw --{name} {value}"
@@ -63,25 +62,19 @@ def _rotation(options: argparse.Namespace) -> Matrix3:
     """Return R_vehicle_from_sensor from angles or quaternion. Raises ConfigError if invalid."""
     import math
 
-    import numpy as np
-
     from imucald.core.errors import ConfigError
-    from imucald.core.rotations import rotation_from_angles, rows_from_quaternion
+    from imucald.core.rotations import rotation_from_angles, rotation_from_quaternion
 
     name, text, wanted = "--quaternion", options.quaternion, 4
     if options.mount:
         name, text, wanted = "--mount", options.mount, 3
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != wanted or not all(map(math.isfinite, numbers)):
+    found = numbers(text)
+    if len(found) != wanted:
         raise ConfigError(f"{name} must be {wanted} numbers with commas between them, not {text!r}")
     if options.mount:
-        roll, pitch, yaw = (math.radians(x) for x in numbers)
+        roll, pitch, yaw = (math.radians(x) for x in found)
         return rotation_from_angles(roll, pitch, yaw)
-    length = math.hypot(*numbers)
+    length = math.hypot(*found)
     if not 0.99 < length < 1.01:
         raise ConfigError(f"--quaternion must have length 1; it has length {length:.3g}")
-    w, x, y, z = (n / length for n in numbers)
-    return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
+    return rotation_from_quaternion([n / length for n in found])

@@ -37,10 +37,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.n < 1:
         raise ImucaldError("-n must be 1 or more")
-    answer = asked(options, "events")
-    if isinstance(answer, int):
-        return answer
-    events = json.loads(answer)["events"][-options.n :]
+    events = json.loads(asked(options, "events"))["events"][-options.n :]
     if options.json:
         json.dump(events, sys.stdout, indent=2, ensure_ascii=False)
         print()

@@ -17,9 +17,6 @@ from imucald.core.libraries import how_to_install
 if TYPE_CHECKING:
     from imucald.feeds.feed_loop import Receiver
 
-WAIT_S = 1.0
-"""Pause before another search for a daemon [s]."""
-LIBRARIES = {"mqtt": "paho", "kuksa": "kuksa_client", "foxglove": "foxglove"}
 MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT, FOXGLOVE_PORT = 1883, 8883, 55555, 8765
 TARGETS = {
     "mqtt": "to an MQTT broker, as JSON",
@@ -137,7 +134,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.feeds.feed_loop import Feed
     from imucald.service.exposition import bus_of
 
-    library = LIBRARIES[options.target]
+    library = {"mqtt": "paho", "kuksa": "kuksa_client", "foxglove": "foxglove"}[options.target]
     if importlib.util.find_spec(library) is None:
         extra = options.target
         raise ImucaldError(f"feed {extra} needs a library: {how_to_install(extra)}")
@@ -170,7 +167,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _on_end(stop: Callable[[], None]) -> None:
-    """Call `stop` at SIGINT and SIGTERM."""
     import signal
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -178,10 +174,7 @@ def _on_end(stop: Callable[[], None]) -> None:
 
 
 def _socket(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> Path | None:
-    """Return the requested status socket; None if the feed was stopped while it waited for one.
-
-    The socket of a named channel may appear later. Without a channel it waits for any daemon.
-    """
+    """Return the status socket; None if the feed was stopped while it waited for any daemon."""
     from imucald.commands.status import find_socket, running_sockets
     from imucald.service.asking import running_socket
 
@@ -192,7 +185,7 @@ def _socket(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> Path
         if not has_waited:
             _say("no running daemon found; waiting for one")
             has_waited = True
-        time.sleep(WAIT_S)
+        time.sleep(1.0)
         if is_stopped():
             return None
     return find_socket(options.socket, options.channel)

@@ -11,7 +11,6 @@ from imucald.commands.options import add_quiet
 from imucald.core.errors import ImucaldError
 from imucald.core.libraries import how_to_install
 
-LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {
     "run": "evaluate the logs that were not evaluated yet",
     "retry": "evaluate the new logs and the failed logs",
@@ -111,7 +110,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the action. Return 0: done, 3: some logs failed, 1: the run was aborted."""
-    missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
+    missing = [name for name in ("pyarrow", "fsspec") if importlib.util.find_spec(name) is None]
     if missing:
         text = f"fleet needs {' and '.join(missing)}: {how_to_install('fleet')}"
         raise ImucaldError(text)

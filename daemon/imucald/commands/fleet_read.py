@@ -4,19 +4,41 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
+from rich.table import Table
+
+from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.errors import ImucaldError
 from imucald.core.text import counted, duration, size
+from imucald.fleet.compaction import read_tables
+from imucald.fleet.fleet_file import read_settings
+from imucald.fleet.lease import Lease, holder_of
+from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
+from imucald.fleet.reading import (
+    analyse_fleet,
+    mixed_words,
+    no_common_mount_words,
+    present_mounts,
+    shown_types,
+    spread_text,
+)
+from imucald.fleet.store import Store
+from imucald.fleet.tables import parts
+from imucald.mount.estimate import ANGLES
+from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
 if TYPE_CHECKING:
-    from imucald.fleet.store import Store
+    import pyarrow as pa
+
+
+SHOWN = 10
+"""Largest number of printed rows of each kind. The files of the tables contain all rows."""
 
 
 def _store(options: argparse.Namespace) -> Store:
-    from imucald.fleet.fleet_file import read_settings
-    from imucald.fleet.store import Store
-    from imucald.fleet.tables import parts
 
     storage = read_settings(options.fleet)[0].storage if options.fleet else None
     store = Store(options.out, storage)
@@ -27,14 +49,6 @@ def _store(options: argparse.Namespace) -> Store:
 
 def status(options: argparse.Namespace) -> int:
     """Print the results so far, the failed logs with reasons, and whether a run is active."""
-    from collections import Counter
-
-    from rich.table import Table
-
-    from imucald.commands.terminal import plain_console
-    from imucald.fleet.compaction import read_tables
-    from imucald.fleet.lease import holder_of
-    from imucald.fleet.reading import mixed_words
 
     store = _store(options)
     tables = read_tables(store, ("sources", "failures", "drives", "costs"))
@@ -77,9 +91,6 @@ def why(options: argparse.Namespace) -> int:
     """Print all values that the tables contain for one log."""
     import pyarrow.compute as pc
 
-    from imucald.commands.terminal import plain_console
-    from imucald.fleet.compaction import read_tables
-
     store = _store(options)
     tables = read_tables(store)
     console = plain_console()
@@ -111,12 +122,7 @@ def why(options: argparse.Namespace) -> int:
 
 def analyse(options: argparse.Namespace) -> int:
     """Analyse all drives together, write `analysis/`, and print the most important results."""
-    from imucald.commands.fleet_view import print_analysis
-    from imucald.commands.terminal import plain_console
     from imucald.fleet.analysis.analyse import GROUPS
-    from imucald.fleet.compaction import read_tables
-    from imucald.fleet.lease import Lease
-    from imucald.fleet.reading import analyse_fleet, mixed_words
 
     store = _store(options)
     with Lease(store):
@@ -137,3 +143,115 @@ def report(options: argparse.Namespace) -> int:
     write_text(options.html, fleet_page(store))
     print(f"{options.html}: written")
     return 0
+
+
+def print_analysis(tables: Mapping[str, pa.Table]) -> None:
+    """Print the vehicle types, then the conspicuous results."""
+    plain_where_needed()
+    console = plain_console()
+    rows = {name.rpartition("/")[2]: table.to_pylist() for name, table in tables.items()}
+    mounts = present_mounts(rows["vehicles"], rows["segments"], rows["remounts"])
+    unknown = why_not_known(rows["vehicles"])
+    if mounts:
+        console.print(_mounts(mounts[:SHOWN], are_moves_known=not unknown))
+        if len(mounts) > SHOWN:
+            console.print(f"and {len(mounts) - SHOWN} more")
+        console.print()
+    console.print(_types(shown_types(rows["types"])))
+    console.print(CONVENTION)
+    if differ := no_common_mount_words(rows["types"]):
+        console.print(differ)
+    found = [row for row in rows["remounts"] if row["found"]]
+    bad = [row for row in rows["groups"] if row["verdict"] == "bad"]
+    design = [row for row in rows["causes"] if row["verdict"] == "design"]
+    console.print(
+        f"{counted(len(rows['vehicles']), 'vehicle')}, {counted(len(rows['segments']), 'segment')}"
+    )
+    _list(
+        console,
+        "moves of sensors",
+        found,
+        lambda r: f"{r['vehicle']} {when_moved(r)}: {_turn(r)}",
+        f"not known: {unknown}" if unknown else "none",
+    )
+    if found and unknown:
+        console.print(f"  between drives: not known: {unknown}")
+    if unordered := unordered_words(rows["vehicles"]):
+        console.print(f"  {unordered}")
+    _list(
+        console, "vehicles that stand out", rows["outliers"], lambda r: f"{r['vehicle']} {_turn(r)}"
+    )
+    _list(console, "bad batches", bad, lambda r: f"{r['column']} {r['name']} {_turn(r)}")
+    _list(
+        console,
+        "faults of many vehicles",
+        design,
+        lambda r: f"{r['vehicle_type']}: {r['cause']} ({r['vehicles_with']} of {r['vehicles']})",
+    )
+    _list(
+        console,
+        "drives never usable",
+        rows["never_usable"],
+        lambda r: f"{r['vehicle_type']}: {r['drives']} ({r['reason']})",
+    )
+
+
+def _list(
+    console: Any, title: str, rows: Sequence[dict[str, Any]], text: Any, without: str = "none"
+) -> None:
+    console.print(f"{title}: {len(rows) or without}")
+    for row in rows[:SHOWN]:
+        console.print(f"  {text(row)}")
+    if len(rows) > SHOWN:
+        console.print(f"  and {len(rows) - SHOWN} more")
+
+
+def _turn(row: dict[str, Any]) -> str:
+    if row["d_x_deg"] is None:
+        return "size of the move not known"
+    x, y, z = (row[f"d_{axis}_deg"] for axis in "xyz")
+    q = "" if row["q"] is None else f" ({_q(row['q'])})"
+    return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg{q}"
+
+
+def _q(q: float) -> str:
+    """Format the false-discovery rate. A very small rate is printed as an upper limit, because no
+    model of the noise is exact enough for such a small number."""
+    return "q < 1e-6" if q < 1e-6 else f"q {q:.2g}"
+
+
+def _angle(value: float, half: float | None) -> str:
+    known = half is not None and half < UNKNOWN_HALF_DEG
+    return f"{value:+.2f}° ±{half:.2f}°" if known else "not known"
+
+
+def _mounts(rows: Sequence[dict[str, Any]], are_moves_known: bool) -> Table:
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("vehicle", "drives", *ANGLES, "state", "since", "moves"):
+        is_text = title in ("vehicle", "state", "since")
+        whole = {"since": len("2026-05-01")}.get(title)  # a date breaks before its time only
+        side: Any = "left" if is_text else "right"
+        table.add_column(title, justify=side, overflow="fold", min_width=whole)
+    for row in rows:
+        table.add_row(
+            row["vehicle"],
+            str(row["all_drives"]),
+            *(_angle(row[f"{angle}_deg"], row[f"ci95_{angle}_deg"]) for angle in ANGLES),
+            row["last_state"] or "",
+            time_text(row["start"], row["first_log_key"]),
+            str(row["moves"]) if row["moves"] or are_moves_known else "not known",
+        )
+    return table
+
+
+def _types(rows: Sequence[dict[str, Any]]) -> Table:
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("type", "vehicles", "drives", "roll", "pitch", "yaw", "spread x, y, z [deg]"):
+        table.add_column(title, overflow="fold")
+    for row in rows:
+        angles = (_angle(row[f"{a}_deg"], row[f"ci95_{a}_deg"]) for a in ANGLES)
+        counts = (str(row["vehicles"]), str(row["drives"]))
+        table.add_row(row["vehicle_type"], *counts, *angles, spread_text(row))
+    return table

@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import date
 from types import FrameType
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 
 SOME_FAILED = 3
 INTERRUPTED = 130
-_SIZES = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
+_SIZES = {"": 1.0, "K": 2.0**10, "M": 2.0**20, "G": 2.0**30}
 _TIMES = {"s": 1.0, "": 1.0, "min": 60.0, "h": 3600.0}
-_SIZE = re.compile(r"([\d.]+)\s*([KMG]?)(?:i?B)?")
-_TIME = re.compile(r"([\d.]+)\s*(s|min|h|)")
 
 
 def retry(options: argparse.Namespace) -> int:
@@ -68,9 +66,11 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
     from imucald.fleet.store import Store
     from imucald.fleet.task import LogLimits
 
-    limits = LogLimits(
-        _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
-    )
+    memory = _amount("--memory", options.memory, _SIZES, "(?:i?B)?",
+                     "size; write for example 512MiB or 2GiB")  # fmt: skip
+    time_limit = _amount("--time-limit", options.time_limit, _TIMES, "",
+                         "time; write for example 90s or 15min")  # fmt: skip
+    limits = LogLimits(round(memory), time_limit)
     if options.since is not None and not _is_date(options.since):
         raise ConfigError(f"--since {options.since}: this is not a date; write YYYY-MM-DD")
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
@@ -106,18 +106,13 @@ def _is_date(text: str) -> bool:
         return False
 
 
-def _bytes(option: str, text: str) -> int:
-    match = _SIZE.fullmatch(text.strip())
+def _amount(option: str, text: str, units: Mapping[str, float], after: str, form: str) -> float:
+    """Return a number with one of the units, and what may stand after it. form: text about what
+    the option takes."""
+    match = re.fullmatch(rf"([\d.]+)\s*({'|'.join(units)}){after}", text.strip())
     if match is None or float(match[1]) <= 0:
-        raise ConfigError(f"{option} {text}: this is not a size; write for example 512MiB or 2GiB")
-    return round(float(match[1]) * _SIZES[match[2]])
-
-
-def _seconds(option: str, text: str) -> float:
-    match = _TIME.fullmatch(text.strip())
-    if match is None or float(match[1]) <= 0:
-        raise ConfigError(f"{option} {text}: this is not a time; write for example 90s or 15min")
-    return float(match[1]) * _TIMES[match[2]]
+        raise ConfigError(f"{option} {text}: this is not a {form}")
+    return float(match[1]) * units[match[2]]
 
 
 def _workers(options: argparse.Namespace, fleet: Fleet) -> Workers:
@@ -212,7 +207,6 @@ def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
 
 
 def _print_end(counts: Counts, whole: bool) -> int:
-    """Print the result of the run, and return the exit status."""
     failed = ", ".join(f"{kind} {n}" for kind, n in sorted(counts.failed.items()))
     text = f"imucald: {counted(counts.done, 'log')} evaluated"
     print(f"{text}{f'; failed: {failed}' if failed else ''}", file=sys.stderr)

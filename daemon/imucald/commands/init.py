@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
     from imucald.discovery import GatheredFrames, Proposal
 
-SOCKETCAN = "socketcan"
 LISTEN_S = 120.0
 """Default listening time [s]: a short drive with a stop, a start and some bends."""
 
@@ -141,7 +140,6 @@ def _require_matches(
 
 
 def _outcome(proposal: Proposal, options: argparse.Namespace) -> str:
-    """Return texts about the results, and about the next step for this log or bus."""
     count = len(proposal.choices)
     unsure = sum(not choice.is_sure for choice in proposal.choices)
     found = f"{counted(count, 'quantity', 'quantities')}, {unsure or 'none'} unsure\n"
@@ -180,13 +178,13 @@ def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:
 
 def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> GatheredFrames:
     from imucald.can.link.link import Link
-    from imucald.commands.listening import listen
+    from imucald.commands.check import listen
     from imucald.config_check import EVERY_FRAME
     from imucald.discovery import GatheredFrames
 
     interface, channel = options.interface, options.channel
     if interface is None or channel is None:  # a single name is an interface of the kernel
-        interface, channel = SOCKETCAN, interface or channel
+        interface, channel = "socketcan", interface or channel
     fd = any(m.is_fd for d in databases.values() for m in d.messages.values())
     recording = GatheredFrames()
     listen(

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from imucald.core.errors import ConfigError
 
-UNIT = "imucald@.service"
 FILES = {
-    UNIT: "lib/systemd/system/imucald@.service",
+    "imucald@.service": "lib/systemd/system/imucald@.service",
     "imucald-again@.service": "lib/systemd/system/imucald-again@.service",
     "imucald-metrics.service": "lib/systemd/system/imucald-metrics.service",
     "imucald-metrics.timer": "lib/systemd/system/imucald-metrics.timer",
@@ -117,10 +116,7 @@ def _write(path: Path, text: str) -> None:
 
 def _refuse_hidden(programs: Iterable[str], root: Path) -> None:
     """Raise ConfigError if a systemd unit could not see one of these files, or the target of its
-    symbolic link.
-
-    root: folder of the image in which the unit will run. The links of an image are not followed.
-    """
+    symbolic link. The links of an image are not followed."""
     is_image = root != Path("/")
     for program in map(Path, filter(os.path.isabs, programs)):
         for path in (program, program if is_image else program.resolve()):

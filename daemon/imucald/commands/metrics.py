@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Callable
 
-TEXTFILE_MODE = 0o644
-"""File mode of the text file. The collector of node_exporter runs as another user."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `metrics`."""
@@ -86,8 +83,7 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace or create a regular file. Raises ImucaldError if the path is anything else than a
-    regular file."""
+    """Replace or create a regular file. Any other path is an error."""
     from imucald.core.errors import ImucaldError
     from imucald.core.files import write_file
 
@@ -98,7 +94,7 @@ def _write(path: Path, text: str) -> None:
                 "so nothing is written; name a file, or leave --textfile out to print the "
                 "metrics"
             )
-        write_file(path, text.encode(), TEXTFILE_MODE)
+        write_file(path, text.encode(), 0o644)  # node_exporter runs as another user
     except OSError as error:
         raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
 

@@ -42,9 +42,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C. If the daemon stops, wait for it."""
-    answer = asked(options, "status")
-    if isinstance(answer, int):  # no daemon at the start is an error
-        return answer
+    asked(options, "status")  # no daemon at the start is an error
     path = find_socket(options.socket, options.channel)
     seconds = float("inf") if options.seconds is None else options.seconds
     end = time.monotonic() + seconds
@@ -70,8 +68,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
     from rich.live import Live
     from rich.text import Text
 
-    from imucald.commands.live_events import LiveEvents, logged_events
-    from imucald.commands.monitor_view import monitor_picture
+    from imucald.commands.monitor_view import LiveEvent, asked_events, live_events, monitor_picture
     from imucald.commands.status_view import no_answer
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
@@ -79,7 +76,7 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
 
     plain_where_needed()
     console = plain_console()
-    events = LiveEvents()
+    events: list[LiveEvent] = []
     foot = Text(f"{note or path}   Ctrl-C ends", style="dim")
     view = Live(
         console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop"
@@ -92,15 +89,13 @@ def _watch_on_terminal(path: Path, is_over: Callable[[], bool], note: str) -> No
             try:
                 found = content(path, "status", ask(path, "status"))
                 with understood(path):
-                    if status is None:
-                        events.remember(logged_events(path))
-                    events.update(found, time.time())
-                    picture = monitor_picture(found, events.events, console, foot)
+                    events = live_events(found, time.time(), asked_events(path))
+                    picture = monitor_picture(found, events, console, foot)
                 status, last = found, time.time()
             except LinkError as error:
                 trouble = no_answer(error, last)
                 if status is not None:
-                    picture = monitor_picture(status, events.events, console, foot, trouble)
+                    picture = monitor_picture(status, events, console, foot, trouble)
             if picture is not None:
                 live.update(picture, refresh=True)
             time.sleep(PERIOD_S)

@@ -3,8 +3,10 @@ events."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console, Group, RenderableType
@@ -12,10 +14,56 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from imucald.commands.live_events import LiveEvent
-from imucald.commands.mount_view import BAR, mount_parts
-from imucald.commands.status_view import facts, headline, is_stale, wrong_now
+from imucald.commands.status_view import BAR, facts, headline, is_stale, mount_parts, wrong_now
+from imucald.core.errors import LinkError
 from imucald.mount.mount_words import left_out_words, progress_words
+from imucald.runtime.drive_events import reported_events
+from imucald.runtime.timebase import FORWARD_STEP
+from imucald.service.asking import ask, content
+
+
+@dataclass(frozen=True)
+class LiveEvent:
+    """An event. at: wall clock [s]. kind: moved, evidence, fault, sensor, alarm or log.
+
+    text: readable description.
+    """
+
+    at: float
+    kind: str
+    text: str
+
+    @property
+    def clock(self) -> str:
+        """Time of day."""
+        return time.strftime("%H:%M:%S", time.localtime(self.at))
+
+
+def live_events(
+    status: Mapping[str, Any], now: float, logged: Sequence[Mapping[str, Any]]
+) -> list[LiveEvent]:
+    """Return the events, oldest first. now: wall clock of the status [s]. logged: the log, as
+    `imucald events` shows it."""
+    # stream time stops in a long silence; an older daemon does not state it
+    stood = max(0.0, float(status.get("silent_s", 0.0)) - FORWARD_STEP)
+    began = now - stood - float(status["duration_s"])
+    found = [LiveEvent(e["at"], _kind(e), e["text"]) for e in logged]
+    found += [LiveEvent(began + e.t, e.kind, e.text) for e in reported_events(status)]
+    return sorted(found, key=lambda event: event.at)
+
+
+def asked_events(path: Path) -> list[dict[str, Any]]:
+    """Return the log of the daemon at a status socket; empty if the daemon does not answer."""
+    try:
+        found: list[dict[str, Any]] = content(path, "events", ask(path, "events"))["events"]
+    except LinkError:
+        return []
+    return found
+
+
+def _kind(logged: Mapping[str, Any]) -> str:
+    return "alarm" if logged["level"] in ("error", "warning") else "log"
+
 
 BESIDE = 120
 """Smallest width [columns] for inputs and events side by side."""
@@ -23,17 +71,11 @@ BESIDE_INPUTS = 66
 CLOCK_WIDTH = 11
 """Width of the column of times with its gap [columns]."""
 LEAST_EVENTS = 3
-LONG_BAR = 60
-"""Width of a bar [columns] if there is enough space."""
 FACTS = ("now", "losses", "rejected", "process")
-LEFT_OUT = "not used"
-"""Title of the row for unused signals. The row is shown only if it has content."""
 KIND_STYLES = {
     "alarm": "red",
     "fault": "red",
     "moved": "bold red",
-    "bus": "yellow",
-    "state": "cyan",
 }
 
 
@@ -50,10 +92,10 @@ def monitor_picture(
     """
     width, height = console.size
     is_grey = is_stale(status, trouble)
-    mount = list(mount_parts(status, BAR if width < BESIDE else LONG_BAR, is_grey))
+    mount = list(mount_parts(status, BAR if width < BESIDE else 60, is_grey))
     top: list[RenderableType] = [headline(status, trouble), _padded(mount)]
     inputs: RenderableType = inputs_table(status, is_grey)
-    wanted = [*FACTS, LEFT_OUT] if left_out_words(status["details"]) else [*FACTS]
+    wanted = [*FACTS, "not used"] if left_out_words(status["details"]) else [*FACTS]
     if trouble:  # the last status says nothing about the present
         wanted.remove("now")
     below: list[RenderableType] = [Padding(facts(status, wanted), (1, 0, 0, 0)), foot]
@@ -100,10 +142,7 @@ def _lines(console: Console, *parts: RenderableType) -> int:
 def _fitting(
     console: Console, events: Sequence[LiveEvent], rows: int, width: int
 ) -> list[LiveEvent]:
-    """Return the newest events that fit a table of at most `rows` rows.
-
-    The newest event is cut to one row if it does not fit.
-    """
+    """Return the newest events that fit `rows` rows. If not even one fits, it is cut to one row."""
     options = console.options.update(width=width)
     shown = list(events)[-rows:] if rows > 1 else []
     while shown and len(console.render_lines(events_table(shown), options)) > rows:

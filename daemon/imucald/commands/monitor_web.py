@@ -20,16 +20,13 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from msgspec.structs import asdict
 
-from imucald.commands.live_events import LiveEvents, logged_events
-from imucald.commands.monitor_view import input_health
+from imucald.commands.monitor_view import LiveEvent, asked_events, input_health, live_events
 from imucald.commands.status_view import is_stale, no_answer, wrong_now
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.core.libraries import how_to_install
-from imucald.core.rotations import Matrix3, rows_from_quaternion
-from imucald.core.text import when_reached
+from imucald.core.text import reached_states
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     CONVENTION,
@@ -37,7 +34,6 @@ from imucald.mount.mount_words import (
     angle_cells,
     angles_line,
     driving_left,
-    half_width,
     is_trouble,
     judged_std,
     left_out_words,
@@ -47,7 +43,7 @@ from imucald.mount.mount_words import (
     sent_words,
     target_words,
 )
-from imucald.report.drawing import STYLE, view_drawings
+from imucald.report.drawing import STYLE, known_rotation, view_drawings
 from imucald.runtime.flow import flow
 from imucald.service.asking import ask, content, understood
 from imucald.service.recent_history import KEPT
@@ -80,24 +76,22 @@ class LiveState:
         self._status: dict[str, Any] | None = None
         self._trouble = ""
         self._last: float | None = None
-        self._events = LiveEvents()
+        self._events: list[LiveEvent] = []
         self._columns: list[str] = []
         self._rows: deque[list[Any]] = deque(maxlen=KEPT)
 
-    def update(self, status: dict[str, Any], now: float) -> None:
-        """Process a status at wall clock `now` [s]."""
+    def update(
+        self, status: dict[str, Any], now: float, logged: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
+        """Process a status and the log of the daemon at wall clock `now` [s]."""
         before, self._status = self._status, status
         try:
-            self._events.update(status, now)
+            self._events = live_events(status, now, logged)
             self.page(math.inf)
         except BaseException:
             self._status = before
             raise
         self._trouble, self._last = "", now
-
-    def remember(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Add the events that the daemon logged before this page was started."""
-        self._events.remember(events)
 
     @property
     def newest(self) -> float:
@@ -110,11 +104,6 @@ class LiveState:
         self._columns = list(found["columns"])
         self._rows.extend(found["rows"])
 
-    @property
-    def is_begun(self) -> bool:
-        """True if a daemon has answered."""
-        return self._status is not None
-
     def fail(self, error: Exception) -> None:
         """Register that the daemon did not answer."""
         self._trouble = no_answer(error, self._last)
@@ -125,7 +114,7 @@ class LiveState:
         if status is None:
             return {"trouble": self._trouble or "no answer yet"}
         mount, stale = status["mount"], is_stale(status, self._trouble)
-        rotation = _rotation(mount)
+        rotation = known_rotation(mount)
         return {
             "trouble": self._trouble,
             "note": self._note,
@@ -137,11 +126,7 @@ class LiveState:
             "link": status["link"]["state"],
             "vehicle": status["vehicle"],
             "uptime_s": status["uptime_s"],
-            "reached": [
-                when_reached(name, status[f"first_{name}_s"])
-                for name in ("usable", "fine")
-                if status[f"first_{name}_s"] is not None and status["state"] != "restored"
-            ],
+            "reached": [] if status["state"] == "restored" else reached_states(status),
             "now": "" if self._trouble else wrong_now(status),
             "angles": angles_line(mount),
             "sits": mount.get("sits"),
@@ -167,7 +152,7 @@ class LiveState:
             },
             "events": [
                 {"at": e.clock, "t": e.at, "kind": e.kind, "text": e.text}
-                for e in self._events.events
+                for e in self._events
             ],
             "views": [] if rotation is None else view_drawings(rotation),
             "drawing_style": STYLE,
@@ -175,11 +160,6 @@ class LiveState:
                 "columns": self._columns, "rows": [row for row in self._rows if row[0] > since],
             },
         }  # fmt: skip
-
-
-def _matrix(quaternion: Sequence[float]) -> Matrix3:
-    w, x, y, z = quaternion
-    return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
 
 
 def _angle(status: Mapping[str, Any], i: int) -> dict[str, Any]:
@@ -219,13 +199,6 @@ def _input(status: Mapping[str, Any], channel: str, row: Mapping[str, Any]) -> d
         "good": style == "green" and not is_stale(status),
         "bad": style not in ("green", "dim"),
     }
-
-
-def _rotation(mount: Mapping[str, Any]) -> Matrix3 | None:
-    q = mount["quaternion_wxyz"]
-    if q is None or half_width(mount["std_deg"]["z"]) is None:
-        return None
-    return _matrix(q)
 
 
 def serve(path: Path, port: int, is_over: Callable[[], bool], note: str) -> None:
@@ -268,11 +241,9 @@ async def _serve(path: Path, port: int, is_over: Callable[[], bool], state: Live
 async def _ask(path: Path, state: LiveState) -> None:
     try:
         status = content(path, "status", await asyncio.to_thread(ask, path, "status"))
-        events = [] if state.is_begun else await asyncio.to_thread(logged_events, path)
+        logged = await asyncio.to_thread(asked_events, path)
         with understood(path):
-            if not state.is_begun:
-                state.remember(events)
-            state.update(status, time.time())
+            state.update(status, time.time(), logged)
     except LinkError as error:
         state.fail(error)
         return

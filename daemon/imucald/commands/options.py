@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -29,6 +30,28 @@ def positive(text: str) -> float:
     if not 0.0 < number < math.inf:
         raise argparse.ArgumentTypeError(f"must be a number above 0 (here: {text!r})")
     return number
+
+
+def numbers(text: str) -> list[float]:
+    """Return the finite numbers of a text with commas between them; empty if a part is none."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+    return found if all(map(math.isfinite, found)) else []
+
+
+def allow_negative_numbers(parser: argparse.ArgumentParser) -> None:
+    """Make "-5,3,30" the value of an option; argparse would read it as an option itself."""
+    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
+
+
+def add_mount(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the mount of a simulated car."""
+    allow_negative_numbers(parser)
+    parser.add_argument(
+        "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
+    )
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +87,11 @@ def print_problems(texts: Iterable[str]) -> None:
     """Print problems of a configuration or a log on stderr, one line each."""
     for text in texts:
         print(f"imucald: {text}", file=sys.stderr)
+
+
+def add_strict(parser: argparse.ArgumentParser) -> None:
+    """Add the option that makes the first bad line of a log an error."""
+    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
 
 
 def add_quiet(parser: argparse.ArgumentParser, text: str) -> None:

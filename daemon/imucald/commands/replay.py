@@ -6,12 +6,19 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
+from imucald.commands.options import (
+    LOG_HELP,
+    add_config,
+    add_quiet,
+    add_strict,
+    configuration,
+    print_problems,
+)
 from imucald.core.libraries import how_to_install
 
 if TYPE_CHECKING:
@@ -19,7 +26,7 @@ if TYPE_CHECKING:
     from imucald.api.drive import DriveResult
     from imucald.api.run import ReplayRun
     from imucald.can.columns import FrameColumns
-    from imucald.commands.replay_report import ReplayReport
+    from imucald.commands.report_pages import ReplayReport
     from imucald.runtime.replay import Sink
 
 
@@ -27,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `replay`."""
     parser.epilog = (
         "Several logs are several drives of one vehicle, each replayed on its own. Logs that "
-        "overlap in time are reported, and whether the mounts of successive drives agree. For "
+        "overlap in time are reported, and the mounts of successive drives are compared. For "
         "several vehicles use 'imucald fleet'. With --joined the logs are pieces of "
         "one recording. A frame that is in two pieces counts twice, and such frames are reported. "
         "Exit status: 0 done (with any state of the mount), 1 a log could not be read or has no "
@@ -75,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "index (needs "
         f"{how_to_install('report')})",
     )
-    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    add_strict(parser)
     parser.add_argument(
         "--speed",
         type=float,
@@ -110,7 +117,6 @@ def run(options: argparse.Namespace) -> int:
 def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
-    from imucald.commands.replay_causes import causes
     from imucald.runtime.summary import as_json
 
     page = _page(options, logs, options.report)  # checked before a file is opened
@@ -122,7 +128,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
         write_text(options.json, as_json(result))
     require_frames(drive)
     is_shown = STANDARD not in (options.json, options.out) and not options.quiet
-    why = causes(options, config, logs, result) if is_shown or page is not None else []
+    why = _causes(options, config, logs, result) if is_shown or page is not None else []
     if page is not None:
         page.write(result, drive.problems, why)
     if is_shown:
@@ -133,27 +139,65 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     return 1 if is_unused(drive) else 0
 
 
+def _causes(
+    options: argparse.Namespace,
+    config: Configuration,
+    logs: Sequence[str],
+    result: Mapping[str, Any],
+) -> list[str]:
+    """Return the likely causes of the contradictions in a replayed drive.
+
+    The estimator compares pairs of signals while it runs, so it cannot say which signal of a pair
+    is wrong. `check` judges the whole drive. result: as in docs/json.md.
+    """
+    import shlex
+
+    from imucald.api.checking import check
+    from imucald.can.logs.text_blocks import STDIN
+    from imucald.mount.estimate import GOOD_NAMES
+
+    if result["state"] in GOOD_NAMES or not result["details"].get("faults"):
+        return []
+    names = ["LOG" if log == STDIN else log for log in logs]
+    command = shlex.join(["imucald", "check", "--config", str(options.config), *names])
+    if STDIN in logs:
+        return [f"two signals contradict each other: save the log, then run '{command}'"]
+    found = check(config, logs).findings
+    for level in ("error", "warning"):
+        if texts := [f"{f['quantity']}: {f['text']}" for f in found if f["level"] == level]:
+            return texts
+    return [
+        "not known: two signals contradict each other in a part of the drive, but over the whole "
+        f"drive no sign, axis or unit is wrong. The sensor may move in its holder. '{command}' "
+        "shows every signal"
+    ]
+
+
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     """Replay each log as a drive. A log that cannot be read is reported, and the rest continues."""
-    from imucald.api.between_drives import between_drives
-    from imucald.api.drives import DriveSet
+    from imucald.api.drives import DriveSet, between_drives, names_apart
     from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
-    from imucald.commands.replay_causes import causes
     from imucald.core.errors import LogError
     from imucald.runtime.summary import as_json
 
     drives, written, folders = [], list[Path](), list[str]()
     failed = list[tuple[str, str]]()
     explained = list[str]()
-    places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
-    for log, (path, folder) in zip(logs, places, strict=True):
+    if options.report:
+        from imucald.commands.report_pages import check_report_folder, make_folder
+
+        check_report_folder(options.report)
+        make_folder(options.report)
+    for log, name in zip(logs, names_apart(logs), strict=True):
+        path = _named(options.write, name)
+        folder = options.report / name if options.report else None
         try:
             page = _page(options, [log], folder)
             drive, files = _replayed(options, config, [log], path, None, page)
             _print_problems(options, drive, f"{log}: ")
             require_frames(drive)
-            why = causes(options, config, [log], drive.to_dict())
+            why = _causes(options, config, [log], drive.to_dict())
             explained += (f"{log}: {text}" for text in why)
             if page is not None:
                 page.write(drive.to_dict(), drive.problems, why)
@@ -169,7 +213,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     found = DriveSet(tuple(drives), *between_drives(drives), tuple(failed))
     broken = [f"not read: {reason}" for _, reason in failed]
     if options.report is not None and drives:
-        from imucald.commands.replay_report import write_index
+        from imucald.commands.report_pages import write_index
 
         file = write_index(
             options.report,
@@ -197,7 +241,6 @@ def _replayed(
     sink: Sink | None,
     page: ReplayReport | None,
 ) -> tuple[DriveResult, list[Path]]:
-    """Replay one recording; return its result and the written files."""
     from imucald.api.run import ReplayRun
     from imucald.commands.terminal import progress_bar
 
@@ -215,61 +258,36 @@ def _replayed(
 def _written(
     run: ReplayRun, path: Path, options: argparse.Namespace
 ) -> tuple[DriveResult, list[Path]]:
-    """Replay into a file; return the result and the written files."""
     from imucald.api.streaming import DriveStream
     from imucald.core.errors import LogError
 
     stream, files = DriveStream(run), list[Path]()
+    names = options.quantities.split(",") if options.quantities else None
     try:
-        files = stream.write(path, _quantities(options))
+        files = stream.write(path, names)
     except LogError:
         if not stream.ended:  # a log without a frame has a result, and is reported later
             raise
     return stream.result, files
 
 
-def _quantities(options: argparse.Namespace) -> list[str] | None:
-    return options.quantities.split(",") if options.quantities else None
-
-
-def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """Return the path of the output file of each drive; None without output files."""
-    from imucald.api.drives import names_apart
-
-    if path is None:
-        return [None] * len(logs)
-    return [path.with_name(f"{path.stem}.{n}{path.suffix}") for n in names_apart(logs)]
-
-
-def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
-    """Return the folder for the page of each drive, inside the given folder."""
-    from imucald.api.drives import names_apart
-
-    if folder is None:
-        return [None] * len(logs)
-    from imucald.commands.report_folder import check_report_folder, make_folder
-
-    check_report_folder(folder)
-    make_folder(folder)
-    return [folder / name for name in names_apart(logs)]
+def _named(path: Path | None, name: str) -> Path | None:
+    """Return the path of the output file of one of several drives."""
+    return path and path.with_name(f"{path.stem}.{name}{path.suffix}")
 
 
 def _page(
     options: argparse.Namespace, logs: Sequence[str], folder: Path | None
 ) -> ReplayReport | None:
-    """Return the object that collects the data for the drive's page; None if no page is
-    requested."""
     if folder is None:
         return None
-    from imucald.commands.replay_report import ReplayReport
+    from imucald.commands.report_pages import ReplayReport
 
     return ReplayReport(options, logs, folder)
 
 
 def _print_problems(options: argparse.Namespace, drive: DriveResult, log: str = "") -> None:
-    """Print the problems and notes of a drive. log: name of the log, printed before each note if
-    there are several logs.
-    """
+    """log: name of the log, printed before each note if there are several logs."""
     from imucald.api.run import UNUSED
 
     print_problems(drive.problems)
@@ -283,7 +301,6 @@ def _print_written(files: Sequence[Path]) -> None:
 
 
 def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
-    """Raise ImucaldError before any work if options contradict each other."""
     from imucald.commands.files import check_files
     from imucald.core.errors import ConfigError
 
@@ -300,7 +317,11 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
         from imucald.api.files.written import require_format
 
         require_format(options.write)
-    written = _paths(options.write, logs) if several else [options.write]
+    written = [options.write]
+    if several:
+        from imucald.api.drives import names_apart
+
+        written = [_named(options.write, name) for name in names_apart(logs)]
     check_files(inputs, (options.out, options.json, *written))
     if several and (options.out or options.speed is not None):
         raise ConfigError(

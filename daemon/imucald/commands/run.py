@@ -14,22 +14,9 @@ if TYPE_CHECKING:
     from imucald.service.listening import ServingProcess
     from imucald.service.parts import ServiceOptions
 
-WRONG_CONFIGURATION = 78
-"""Exit status (EX_CONFIG of sysexits.h). This exit status tells systemd not to start the daemon
-again."""
 LOG_LEVELS = ("error", "warning", "notice", "info")
 """Names of the log levels in `service.journal`. The names are repeated here, because
 `service.journal` is loaded later."""
-NO_SOCKET = (
-    "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
-    "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for all "
-    "these commands, or give --status-socket PATH to 'run' and --socket PATH to the others"
-)
-
-NOT_SAVED = (
-    "the mount is not saved, since no folder is named: the next start begins without it. Give "
-    "--state-dir DIR to save it"
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -164,9 +151,19 @@ def _say_what_lacks(settings: ServiceOptions, journal: Journal) -> None:
     if slow := compiled.slow_words():
         journal.say(slow)
     if settings.state_folder is None:
-        journal.say(NOT_SAVED, NOTICE)
+        text = (
+            "the mount is not saved, since no folder is named: the next start begins without it. "
+            "Give --state-dir DIR to save it"
+        )
+        journal.say(text, NOTICE)
     if settings.status_socket is None:
-        journal.say(NO_SOCKET, WARNING)
+        text = (
+            "there is no status socket, since XDG_RUNTIME_DIR is not set: 'imucald status', "
+            "'monitor' and orders cannot reach this daemon. Set XDG_RUNTIME_DIR to a folder for "
+            "all these commands, or give --status-socket PATH to 'run' and --socket PATH to the "
+            "others"
+        )
+        journal.say(text, WARNING)
 
 
 def _wrong(error: ConfigError, journal: Journal) -> int:
@@ -174,7 +171,7 @@ def _wrong(error: ConfigError, journal: Journal) -> int:
 
     for line in str(error).splitlines():
         journal.say(line, ERROR)
-    return WRONG_CONFIGURATION
+    return 78  # EX_CONFIG: systemd does not start the daemon again
 
 
 def _checked(options: argparse.Namespace, journal: Journal) -> int:
@@ -195,7 +192,6 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
 
 
 def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
-    """Return the process that serves metrics; None if no address is given."""
     if address is None:
         return None
     from imucald.commands.metrics import serve

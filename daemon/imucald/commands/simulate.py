@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import re
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from imucald.commands.options import add_mount, numbers
 from imucald.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ LATEST_START_S = 4_102_444_800.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
-    # Otherwise "-5,3,30" would be read as an option.
-    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
     parser.add_argument(
         "--out",
         type=Path,
@@ -50,9 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "offset; default: 2020-09-13T12:26:40)",
     )
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same drive")
-    parser.add_argument(
-        "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
-    )
+    add_mount(parser)
     parser.add_argument(
         "--shift",
         action="append",
@@ -149,7 +145,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _start(text: str | None) -> float:
-    """Return the time stamp of the first frame [UNIX s]."""
     from imucald.traffic.can_log import EPOCH_S
 
     if text is None:
@@ -247,8 +242,7 @@ def _check_scales(model: VehicleModel) -> None:
 
 
 def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:
-    """Return the driving side: the side of the model file if it states one, else the side of the
-    configuration."""
+    """Return the driving side: the model file's if it states one, else the configuration's."""
     from imucald.core.yaml_lines import read_yaml_file
 
     if not options.model:
@@ -272,14 +266,10 @@ _ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
 
 def _numbers(option: str, text: str, count: int) -> list[float]:
-    parts = text.split(",")
-    try:
-        numbers = [float(part) for part in parts]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
+    found = numbers(text)
+    if len(found) != count:
         raise ConfigError(f"{option} {text!r}: write {count} numbers with commas between them")
-    return numbers
+    return found
 
 
 def _change(text: str) -> tuple[str, Any]:

@@ -8,13 +8,12 @@ import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from imucald.core.errors import LinkError
 
-FINE, UNCLEAR, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT, BUSY = 0, 1, 3, 4, 5, 6, 7, 8
-"""Exit statuses. 1 (here: several daemons run) and 2 have the same meaning in every command. 3 is
-the same as in `systemctl is-active`."""
+FINE, USABLE, NOT_YET, SUSPECT, FAULT = 0, 4, 5, 6, 7
+"""Exit statuses that say how the mount is. For 3 and 8 see `NotRunningError` and `BusyError`."""
 ASK_S = 1.0
 """Longest time for a daemon to state its channel [s]."""
 _BY_STATE = {
@@ -26,13 +25,6 @@ _BY_STATE = {
     "suspect": SUSPECT,
     "recalibrating": SUSPECT,
 }
-
-
-class NoAnswer(NamedTuple):
-    """Why a daemon gave no answer: an exit status, and the reason as text."""
-
-    status: int
-    reason: str
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,8 +63,6 @@ def add_socket_argument(
 def run(options: argparse.Namespace) -> int:
     """Print the status, and return it as an exit status."""
     answer = asked(options, "metrics" if options.metrics else "status")
-    if isinstance(answer, int):
-        return answer
     if options.metrics:
         sys.stdout.write(answer)
         return 0
@@ -107,31 +97,15 @@ def exit_status(status: Mapping[str, Any]) -> int:
     return _BY_STATE.get(status["state"], FAULT)
 
 
-def asked(options: argparse.Namespace, request: str) -> str | int:
-    """Return the answer of the selected daemon. If there is no answer, print the reason and return
-    the exit status."""
-    answer = answer_of(options, request)
-    if isinstance(answer, str):
-        return answer
-    print(f"imucald: {answer.reason}", file=sys.stderr)
-    return answer.status
+def asked(options: argparse.Namespace, request: str) -> str:
+    """Return the answer of the selected daemon. Raises LinkError if there is none."""
+    from imucald.service.asking import KINDS, ask, content
 
-
-def answer_of(options: argparse.Namespace, request: str) -> str | NoAnswer:
-    """Return the answer of the selected daemon, or the reason why there is no answer."""
-    from imucald.service.asking import KINDS, BusyError, ask, content
-
-    try:
-        path = find_socket(options.socket, options.channel)
-        answer = ask(path, request)
-        if request in KINDS:
-            content(path, request, answer)
-        return answer
-    except BusyError as error:
-        return NoAnswer(BUSY, str(error))
-    except LinkError as error:
-        several = options.socket is None and len(running_sockets(options.channel)) > 1
-        return NoAnswer(UNCLEAR if several else NOT_RUNNING, str(error))
+    path = find_socket(options.socket, options.channel)
+    answer = ask(path, request)
+    if request in KINDS:
+        content(path, request, answer)
+    return answer
 
 
 def running_sockets(channel: str | None = None) -> list[Path]:
@@ -151,8 +125,7 @@ def running_sockets(channel: str | None = None) -> list[Path]:
 
 
 def _channel_of(path: Path) -> str | None:
-    """Ask a daemon for the name of its channel. The request is necessary if only the daemon's
-    configuration names the channel."""
+    """Ask a daemon for its channel, which only its configuration may name."""
     from imucald.service.asking import ask, content
 
     try:
@@ -162,7 +135,10 @@ def _channel_of(path: Path) -> str | None:
 
 
 def find_socket(given: Path | None, channel: str | None) -> Path:
-    """Return the selected socket. If several sockets are possible, LinkError lists them."""
+    """Return the selected socket. Raises NotRunningError if there is none, and LinkError, which
+    lists them, if there are several."""
+    from imucald.service.asking import NotRunningError
+
     if given is not None:
         return given
     found = running_sockets(channel)
@@ -170,7 +146,7 @@ def find_socket(given: Path | None, channel: str | None) -> Path:
         return found[0]
     if not found:
         which = f" for {channel}" if channel else ""
-        raise LinkError(
+        raise NotRunningError(
             f"no running daemon found{which}; start one (imucald run --config FILE, or systemctl "
             "start imucald@can0), or name the status socket of a daemon (--socket PATH)"
         )

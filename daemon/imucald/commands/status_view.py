@@ -3,31 +3,120 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from rich.console import Console, Group
 from rich.padding import Padding
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from imucald.commands.mount_view import mount_parts
 from imucald.core.errors import LinkError
-from imucald.core.text import clock, counted, when_reached
+from imucald.core.text import clock, counted, reached_states
+from imucald.mount.estimate import ANGLES
 from imucald.mount.hysteresis import BAD
 from imucald.mount.mount_words import (
+    ABOUT,
     EVIDENCE_KINDS,
+    VEHICLE_AXES,
+    angle_cells,
     angles_line,
     contradicted_words,
+    driving_left,
     is_trouble,
+    judged_std,
     left_out_words,
+    percent,
+    plus_minus,
     progress_words,
     reasons,
+    sent_words,
+    target_words,
 )
 from imucald.mount.states import HARD_ACCEL, HARD_TURN
 from imucald.runtime.drive_events import STATE_WORDS
 from imucald.runtime.flow import FlowKind, flow, is_starting, present_alarms
 from imucald.service.asking import BusyError
+
+BAR = 24
+"""Width of a bar [columns]."""
+
+
+TRY_CHECK = "run 'imucald check' on this bus or on a log: it names a wrong sign, axis or unit"
+"""Text about a contradiction between signals. More driving does not remove the contradiction."""
+
+
+def mount_parts(
+    result: Mapping[str, Any], bar: int = BAR, is_stale: bool = False, is_checked: bool = False
+) -> Iterator[Table | Text]:
+    """Yield the parts of the view, the most useful part first: angles of the housing, orientation
+    of the sensor, missing evidence, remaining driving, axes of corrected samples, an explanation of
+    "±", and the remaining errors of corrected samples.
+
+    result: as in docs/json.md, or a status (also of an older daemon). bar: width of bars [columns].
+    is_stale: no corrected frames are sent now, so no target is shown as reached. is_checked: the
+    result of `check` is shown too.
+    """
+    mount, progress = result["mount"], result.get("progress")
+    yield _angles(result)
+    for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
+        if mount.get(key):
+            yield Text(mount[key], style=style)
+    for names, text in reasons(result["waiting_for"]):
+        if is_trouble(text):
+            yield Text(f"trouble      {text}", style="bold red")
+        elif not is_stale:  # driving does not help while nothing flows
+            yield Text(f"waiting for  {names}: {text}", style="yellow")
+    if result.get("standing_faults") and not is_checked:
+        yield Text(f"next         {TRY_CHECK}", style="yellow")
+    if progress is not None:
+        yield _gates(progress, bar, is_stale)
+    yield _axes(result, is_stale)
+    yield Text(ABOUT, style="dim")
+    if left := sent_words(result.get("correction")):
+        yield Text(f"errors left in corrected frames: {left}")
+
+
+def _gates(progress: Mapping[str, Any], bar: int, is_stale: bool) -> Table:
+    """Make a bar for each missing condition. is_stale: no corrected frames are sent now, so nothing
+    is shown as good and no time is stated."""
+    unfinished, finished = ("dim", "dim") if is_stale else ("yellow", "green")
+    table = Table(box=None, pad_edge=False)
+    table.add_column(f"to {progress['goal']}")
+    table.add_column("")
+    table.add_column("", justify="right")
+    table.add_column("")
+    for gate in progress["gates"]:
+        share = ProgressBar(
+            1.0, gate["share"], bar, complete_style=unfinished, finished_style=finished
+        )
+        left = "" if is_stale else driving_left(gate["left_s"])
+        table.add_row(gate["gate"], share, percent(gate["share"]), left)
+    return table
+
+
+def _angles(result: Mapping[str, Any]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("mount", min_width=6)
+    table.add_column("angle", justify="right", min_width=8)
+    table.add_column("± 95 %", justify="right", min_width=7)
+    for angle in ANGLES:
+        table.add_row(angle, *angle_cells(result["mount"], angle))
+    return table
+
+
+def _axes(result: Mapping[str, Any], is_stale: bool) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("corrected", min_width=12)
+    table.add_column("± 95 %", justify="right", min_width=7)
+    table.add_column("target")
+    for axis, turn in zip("xyz", VEHICLE_AXES, strict=True):
+        words, is_reached = target_words(result, axis)
+        text = Text(words, style="dim" if is_stale else "green" if is_reached else "")
+        table.add_row(turn, plus_minus(judged_std(result["mount"], axis)), text)
+    return table
+
 
 STYLES = {
     "usable": "green",
@@ -70,24 +159,14 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 """Alarms for sensors that send no samples."""
 
 
-def waits_for(status: Mapping[str, Any]) -> str:
-    """Return one line about the frames that are sent now, and about the missing evidence."""
-    return "; ".join([flow(status).text, *_still_missing(status)])
-
-
-def short(status: Mapping[str, Any]) -> str:
+def short(status: Mapping[str, Any], with_angles: bool = True) -> str:
     """Return the status as one line: the frames that are sent now, the angles, the missing
     evidence."""
-    angles = angles_line(status["mount"])
-    return "; ".join([flow(status).text, *([angles] if angles else []), *_still_missing(status)])
-
-
-def _still_missing(status: Mapping[str, Any]) -> list[str]:
-    if flow(status).kind is FlowKind.NONE:  # driving does not help while nothing flows
-        return []
-    waits = [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
-    progress = progress_words(status.get("progress"))
-    return waits + [progress] * bool(progress)
+    parts = [flow(status).text, angles_line(status["mount"]) if with_angles else ""]
+    if flow(status).kind is not FlowKind.NONE:  # driving does not help while nothing flows
+        parts += [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
+        parts.append(progress_words(status.get("progress")))
+    return "; ".join(filter(None, parts))
 
 
 def picture(status: Mapping[str, Any]) -> Group:
@@ -106,7 +185,6 @@ def print_status(console: Console, status: Mapping[str, Any]) -> None:
 
 
 def _first_line(status: Mapping[str, Any]) -> Text:
-    """Return a text that states whether corrected frames are sent now."""
     now = flow(status)
     return Text(now.text, style=FLOW_STYLES[now.kind])
 
@@ -132,9 +210,8 @@ def headline(status: Mapping[str, Any], trouble: str = "") -> Text:
     text.append(state, style="dim" if is_grey else STYLES.get(state, "yellow"))
     if status.get("held"):
         text.append("   held: nothing is learnt", style="bold yellow")
-    for name in ("usable", "fine") if state != "restored" else ():
-        if (after := status[f"first_{name}_s"]) is not None:
-            text.append(f"   {when_reached(name, after)}")
+    for reached in reached_states(status) if state != "restored" else ():
+        text.append(f"   {reached}")
     return text
 
 
@@ -201,8 +278,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
 
 
 def _not_understood(link: Mapping[str, Any]) -> str:
-    """Return a text about frames that python-can could not interpret, if there are any. SocketCAN
-    never has such frames."""
+    """Return a text about frames that python-can could not interpret, if there are any."""
     count = link.get("rejected", 0)  # an older daemon does not count them
     return f", {count} not understood" if count else ""
 
@@ -223,7 +299,6 @@ def _troubles(status: Mapping[str, Any]) -> list[str]:
 
 
 def _sensors(status: Mapping[str, Any]) -> Text:
-    """Return a text that states which sensors can be used, and why the other sensors cannot."""
     health = status["signal_health"]
     absent = [words for name, words in present_alarms(status).items() if name in _SILENT]
     if is_starting(status):
@@ -253,7 +328,6 @@ def _evidence(details: Mapping[str, Any]) -> str:
 
 
 def _weights(details: Mapping[str, Any]) -> str:
-    """Return a text that states which evidence determines each angle."""
     parts = []
     for angle, shares in details.get("evidence_share", {}).items():
         sums: dict[str, float] = {}

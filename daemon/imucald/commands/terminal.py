@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
-from imucald.core.text import clock, counted, made_safe, stream_behind, when_reached
+from imucald.core.text import clock, counted, made_safe, reached_states, stream_behind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -90,38 +90,43 @@ def plain_console() -> Console:
 
 
 @contextmanager
-def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
-    """Show a bar while the body runs. Yields a callback for (done, total) bytes, or None."""
+def _bar(
+    text: str, total: float | None, quiet: bool, *columns: str
+) -> Iterator[Callable[..., None] | None]:
+    """Show a bar with these columns of rich while the body runs, on stderr. Yields a callback for
+    the done part, or None without a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich import progress
 
-    columns = (TextColumn(text), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=screen_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    shown = [progress.TextColumn("{task.description}", markup=False), progress.BarColumn()]
+    shown += [getattr(progress, name)() for name in columns]
+    with progress.Progress(*shown, console=screen_console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda done, **more: bar.update(task, completed=done, **more)
+
+
+@contextmanager
+def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
+    """Show a bar while the body runs. Yields a callback for (done, total) bytes, or None."""
+    with _bar(text, None, quiet, "DownloadColumn", "TimeRemainingColumn") as update:
+        yield update and (lambda done, total: update(done, total=total))
+
+
+@contextmanager
+def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
+    """Show a bar and the current step. Yields a callback for the share done (0 to 1) and the text
+    of the step."""
+    with _bar(text, 1.0, quiet, "TaskProgressColumn", "TimeElapsedColumn") as update:
+        yield lambda share, doing: update and update(share, description=doing or text)
 
 
 @contextmanager
 def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
     """Show the elapsed part of a known time. Yields a callback for the elapsed seconds."""
-    if not sys.stderr.isatty():
-        yield _nothing
-        return
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
-
-    words = TextColumn("{task.description}", markup=False)
-    columns = (words, BarColumn(), TimeRemainingColumn())
-    with Bar(*columns, console=screen_console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=seconds)
-        yield lambda passed: bar.update(task, completed=passed)
-
-
-def _nothing(passed: float) -> None:
-    """Show nothing, because the output is not a terminal."""
+    with _bar(text, seconds, False, "TimeRemainingColumn") as update:
+        yield lambda passed: update and update(passed)
 
 
 def plain_where_needed() -> None:
@@ -132,15 +137,17 @@ def plain_where_needed() -> None:
 
 
 def print_summary(result: Mapping[str, Any], causes: Sequence[str] = ()) -> None:
-    """Print the result of a replay as tables. causes: see `replay_causes`."""
+    """Print the result of a replay as tables. causes: likely causes of contradictions."""
     from rich.text import Text
 
-    from imucald.commands.mount_view import mount_parts
+    from imucald.commands.status_view import mount_parts
     from imucald.mount.mount_words import left_out_words
 
     plain_where_needed()
     console = plain_console()
-    console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
+    reached = ", ".join(reached_states(result))
+    since = f" ({reached})" if reached else ""
+    console.print(Text.assemble("state: ", (result["state"], "bold"), since))
     for text in causes:
         console.print(f"likely cause (imucald check): {text}", style="bold red")
     for part in mount_parts(result, is_checked=bool(causes)):
@@ -188,7 +195,6 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
 
 
 def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
-    """Yield texts about moved sensors and faults, in the order of time."""
     from imucald.runtime.drive_events import in_order, reported_events
 
     events = in_order(reported_events(result))
@@ -199,7 +205,6 @@ def _noticed(result: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:
-    """Yield texts about the results of attitude and direction of travel, if they are enabled."""
     attitude = result.get("attitude")
     if attitude is not None:
         angles = ", ".join(
@@ -214,15 +219,6 @@ def _beside(result: Mapping[str, Any]) -> Iterator[str]:
         opposite = " or opposite" if travel["ambiguous"] else ""
         steps = counted(travel["steps"], "step")
         yield f"travel direction: {steps}, the last towards {heading}{opposite}"
-
-
-def _since(result: Mapping[str, Any]) -> str:
-    parts = [
-        when_reached(name, result[key])
-        for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
-        if result[key] is not None
-    ]
-    return f" ({', '.join(parts)})" if parts else ""
 
 
 def _number(value: float | None, form: str, unit: str) -> str:

@@ -65,33 +65,20 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _asked(options: argparse.Namespace) -> tuple[int, str]:
-    """Return the present exit status, and a line about the frames that are sent and the missing
-    conditions.
+    """Return the present exit status, and a line about frames and missing conditions. Raises
+    LinkError if several daemons run and none is named, or if another program answers."""
+    from imucald.commands.status import FINE, NOT_YET, asked, exit_status
+    from imucald.commands.status_view import short
+    from imucald.service.asking import BusyError, NotRunningError, understood
 
-    Raises LinkError if several daemons run and none is named, or if another program answers.
-    """
-    from imucald.commands.status import (
-        FINE,
-        NOT_RUNNING,
-        NOT_YET,
-        UNCLEAR,
-        NoAnswer,
-        answer_of,
-        exit_status,
-    )
-    from imucald.commands.status_view import waits_for
-    from imucald.core.errors import LinkError
-    from imucald.service.asking import understood
-
-    answer = answer_of(options, "status")
-    if isinstance(answer, NoAnswer):
-        if answer.status == UNCLEAR:
-            raise LinkError(answer.reason)
-        is_absent = answer.status == NOT_RUNNING
-        return answer.status, "no daemon runs" if is_absent else "the daemon does not answer"
-    status = json.loads(answer)
+    try:
+        status = json.loads(asked(options, "status"))
+    except NotRunningError as error:
+        return error.exit_status, "no daemon runs"
+    except BusyError as error:
+        return error.exit_status, "the daemon does not answer"
     with understood(options.socket):
-        line = waits_for(status)
+        line = short(status, with_angles=False)
         return FINE if _is_reached(status, options.state) else exit_status(status) or NOT_YET, line
 
 

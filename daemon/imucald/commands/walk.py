@@ -7,11 +7,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.commands.options import LOG_HELP, add_config, add_quiet, configuration, print_problems
+from imucald.commands.options import (
+    LOG_HELP,
+    add_config,
+    add_quiet,
+    add_strict,
+    configuration,
+    print_problems,
+)
 from imucald.core.text import counted
-
-SHOWN = 20
-"""Largest number of lines of the table. If there are more steps, some steps are not shown."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write every step as JSON (without FILE: standard output)",
     )
-    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    add_strict(parser)
     add_quiet(parser, "print no progress and no table")
 
 
@@ -59,7 +63,7 @@ def _table(result: Mapping[str, Any]) -> None:
     table = Table(box=None, pad_edge=False)
     for name in ("time s", "heading", "± 95 %", "compass", "alternative", "published", "chosen"):
         table.add_column(name, justify="right")
-    every = max(1, math.ceil(len(result["track"]) / SHOWN))
+    every = max(1, math.ceil(len(result["track"]) / 20))
     for step in result["track"][::every]:
         keys = ("heading_deg", "compass_deg", "alternative_deg", "published_deg")
         cells = ["-" if step[k] is None else f"{step[k]:.0f}" for k in keys]

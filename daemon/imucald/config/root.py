@@ -192,3 +192,8 @@ def json_schema(choices: Mapping[tuple[str, str], Sequence[str]] | None = None) 
     from imucald.config.schema import described_schema  # noqa: PLC0415 - only for this
 
     return json.dumps(described_schema(Config, choices or {}), indent=2)
+
+
+def example_path() -> Path:
+    """Return the path of the configuration for the example bus (``imucald_example.dbc``)."""
+    return Path(__file__).parent.parent / "data" / "imucald_example.yaml"

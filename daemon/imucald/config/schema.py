@@ -19,7 +19,6 @@ from msgspec import Struct
 
 from imucald.config.signals import ONE_OF_LIST, SHORT_TEXTS
 
-DRAFT = "http://json-schema.org/draft-07/schema#"
 REFERENCE = "#/definitions/"
 LIMITS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"})
 """Keys of limits. Whole limits are written without a fraction: `Meta(le=5)` and `Meta(le=5.0)` are
@@ -43,7 +42,10 @@ def described_schema(
     for (name, key), words in choices.items():
         parts[name]["properties"][key]["enum"] = list(words)
     whole = parts.pop(kind.__name__)
-    return {"$schema": DRAFT, **_as_draft_7({**whole, "definitions": parts})}
+    return {
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        **_as_draft_7({**whole, "definitions": parts}),
+    }
 
 
 def _with_short(node: dict[str, Any]) -> dict[str, Any]:
@@ -97,7 +99,6 @@ def _within(base: type) -> Iterator[type]:
 
 @cache
 def _classes(module: str) -> dict[str, ast.ClassDef]:
-    """Return the classes of a module by name, parsed."""
     tree = ast.parse(inspect.getsource(sys.modules[module]))
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 

@@ -18,33 +18,17 @@ Rule = tuple[tuple[str, ...], bool, str]
 """A key (parts of the dotted path), whether the key has no effect, and the reason."""
 
 
-class Keys(Protocol):
-    """The sections whose keys are checked."""
-
+class _Keys(Protocol):
     @property
-    def signals(self) -> Signals:
-        """The signals of the quantities."""
-        ...
-
+    def signals(self) -> Signals: ...
     @property
-    def calibration(self) -> CalibrationSettings:
-        """The settings for finding the mount."""
-        ...
-
+    def calibration(self) -> CalibrationSettings: ...
     @property
-    def attitude(self) -> AttitudeSettings:
-        """The settings of methods B and C."""
-        ...
-
+    def attitude(self) -> AttitudeSettings: ...
     @property
-    def travel_direction(self) -> TravelDirectionSettings:
-        """The settings of method D."""
-        ...
-
+    def travel_direction(self) -> TravelDirectionSettings: ...
     @property
-    def uses_method_a(self) -> bool:
-        """True if method A alone finds the mount."""
-        ...
+    def uses_method_a(self) -> bool: ...
 
 
 FILTER_ONLY = ("speed_noise", "speed_scale", "creep_speed", "lever_uncertainty")
@@ -75,7 +59,7 @@ B_NEEDS_SPEED = (
 last `filter.check`, as still as a parked vehicle."""
 
 
-def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple[Place, str]]:
+def idle_keys(config: _Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple[Place, str]]:
     """Yield the places of present keys without effect, each with its reason."""
     for rules in (_calibration(config), _attitude(config), _travel(config)):
         for place, idle, why in rules:
@@ -83,14 +67,7 @@ def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple
                 yield place, f"has no effect {why}"
 
 
-LEANING = (
-    "z is missing: a sensor of two axes must be mounted level. Configure its z axis; or, if "
-    "the sensors are level, configure an accelerometer of two axes, or 'estimator: "
-    "published' with 'method_a: {level: false}'"
-)
-
-
-def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
+def impossible(config: _Keys) -> Iterator[tuple[Place, str]]:
     """Yield the places of keys with a condition that no sensor or sample can meet, with the
     requirement for the key."""
     calibration, signals = config.calibration, config.signals
@@ -101,7 +78,12 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     if not _is_level(config):
         for i, sensor in enumerate(signals.parallel):
             if sensor.z is None:
-                yield ("signals", "parallel", i), LEANING
+                text = (
+                    "z is missing: a sensor of two axes must be mounted level. Configure its z "
+                    "axis; or, if the sensors are level, configure an accelerometer of two axes, "
+                    "or 'estimator: published' with 'method_a: {level: false}'"
+                )
+                yield ("signals", "parallel", i), text
     if calibration.estimator != "published":
         return
     has_speed = signals.speed is not None or signals.wheel_speeds is not None
@@ -120,7 +102,7 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
         yield ("calibration", "target_angle", "sign_from"), text
 
 
-def _is_level(config: Keys) -> bool:
+def _is_level(config: _Keys) -> bool:
     """True if the accelerometer and its parallel sensors are configured as level."""
     calibration = config.calibration
     published = config.uses_method_a
@@ -128,7 +110,7 @@ def _is_level(config: Keys) -> bool:
     return planar or (published and not calibration.method_a.level)
 
 
-def _calibration(config: Keys) -> Iterator[Rule]:
+def _calibration(config: _Keys) -> Iterator[Rule]:
     at, published, estimator = "calibration", config.uses_method_a, config.calibration.estimator
     yield (at, "estimator"), estimator == "full", "any more: 'joint' takes its place"
     why = "without a speed, and without turns or the sensor's z axis: method A is used"
@@ -145,7 +127,7 @@ def _calibration(config: Keys) -> Iterator[Rule]:
     yield from _method_a(config)
 
 
-def _method_a(config: Keys) -> Iterator[Rule]:
+def _method_a(config: _Keys) -> Iterator[Rule]:
     calibration, signals, at = config.calibration, config.signals, "calibration"
     if not config.uses_method_a:
         return
@@ -205,7 +187,7 @@ LIMITS = {
 reads."""
 
 
-def _recognisers(config: Keys) -> Iterator[Rule]:
+def _recognisers(config: _Keys) -> Iterator[Rule]:
     """Yield rules for the keys of recognisers (tests for straight motion) that are not used.
 
     A recogniser is not used if it is not named, if its signal is missing, or if a preferred
@@ -229,7 +211,7 @@ def _recognisers(config: Keys) -> Iterator[Rule]:
             yield ("calibration", "straight", key), idle, why
 
 
-def _recognisers_there(config: Keys) -> dict[str, bool]:
+def _recognisers_there(config: _Keys) -> dict[str, bool]:
     signals = config.signals
     has_speed = signals.speed is not None or signals.wheel_speeds is not None
     steering = signals.steering_wheel_angle is not None
@@ -243,7 +225,7 @@ def _recognisers_there(config: Keys) -> dict[str, bool]:
     }
 
 
-def _attitude(config: Keys) -> Iterator[Rule]:
+def _attitude(config: _Keys) -> Iterator[Rule]:
     attitude = config.attitude
     if not attitude.enabled:  # prepared but switched off is allowed
         return
@@ -278,7 +260,7 @@ def _attitude(config: Keys) -> Iterator[Rule]:
     yield (at, "compensation", "centripetal"), idle, why
 
 
-def _travel(config: Keys) -> Iterator[Rule]:
+def _travel(config: _Keys) -> Iterator[Rule]:
     travel, signals = config.travel_direction, config.signals
     if not travel.enabled:
         return

@@ -180,7 +180,6 @@ class Decoding:
         return f"; {in_transport(max(sizes))}" if sizes else ""
 
     def _cut(self) -> Iterator[Finding]:
-        """Find messages whose frames are shorter than in the database."""
         for probe in self.probes:
             if not probe.frames or not isinstance(probe.route, MessageRoute):
                 continue
@@ -279,7 +278,6 @@ class Decoding:
             yield Finding("note", "", text)
 
     def _too_slow(self) -> Iterator[Finding]:
-        """Find channels whose samples are too far apart for the calibration to interpolate."""
         for channel, longest in SLOWEST.items():
             found = [probe.cycle_of(channel) for probe in self.probes]
             cycles = [cycle for cycle in found if cycle is not None]
@@ -338,7 +336,6 @@ class Decoding:
             yield Finding("error", "accelerometer", text)
 
     def _costs(self) -> Iterator[Finding]:
-        """Report missing signals and their consequences."""
         config = self.loaded.config
         if not self._has("accel"):
             text = "no sample was received; imucald needs an accelerometer"

@@ -57,7 +57,7 @@ def gain_guess(ratio: float, unit_advice: str | None) -> str:
     """Return a text with the likely cause of a gain that should be 1. unit_advice: advice for a
     quantity with a stated unit."""
     size, unit_advice = abs(ratio), unit_advice or "set 'unit:'"
-    words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
+    words = f"{size:.3g} times too large" if size > 1.0 else f"{1.0 / size:.3g} times too small"
     for factor, guess in _FACTORS:
         if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
             return f"{words}, which looks like {guess}; {unit_advice}"

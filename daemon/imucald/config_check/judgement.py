@@ -18,8 +18,11 @@ from imucald.config.calibration import OrientationSettings, SensorAxis
 from imucald.config.vehicle import VehicleSettings
 from imucald.config_check.axes import (
     MIN_BRAKING,
+    MIN_TURNING,
     axes_findings,
     best_response,
+    gain_findings,
+    sign_findings,
     speed_findings,
     turn_gain_findings,
 )
@@ -34,7 +37,6 @@ from imucald.config_check.motion import MIN_TICKS, Motion, smooth, speed_ratio
 from imucald.config_check.moved_sensor import sensor_move
 from imucald.config_check.relation import relation
 from imucald.config_check.single_fault import explained
-from imucald.config_check.yaw_rate_check import MIN_TURNING, gain_findings, sign_findings
 from imucald.core.arrays import Array
 from imucald.core.samples import GRAVITY
 from imucald.drive.roads import SLOPE
@@ -156,7 +158,6 @@ def _signs_and_axes(
     rates: Mapping[str, Array],
     turned: Mapping[str, bool] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Yield all findings about signs and exchanged axes, from turns, slopes and gravity."""
     yield from sign_findings(rates, turned)
     if not motion.planar:
         yield from axes_findings(motion, rates)
@@ -213,12 +214,9 @@ def _mirrored(of_turns: Sequence[Finding], turned: Mapping[str, bool]) -> Iterat
 def _stated_axis(
     stated: SensorAxis | None, direction: str, found: Array, opposite: str, remedy: str
 ) -> Iterator[Finding]:
-    """Check whether the axis that the user states for a direction agrees with the data.
-
-    direction: "up" or "forward". found: the direction in the data, unit vector (3,) in sensor axes.
-    opposite: the name of the opposite direction. remedy: text for an axis that points in the
-    opposite direction.
-    """
+    """Check whether the axis that the user states for a direction ("up" or "forward") agrees with
+    the data. found: the direction in the data, unit vector (3,) in sensor axes. remedy: text for an
+    axis that points in the opposite direction."""
     if stated is None:
         return
     part = float(found @ unit_vector(stated))
@@ -235,10 +233,8 @@ def _stated_axis(
 
 
 def _constant_speed(motion: Motion) -> Iterator[Finding]:
-    """Report a speed that never changes. Cruise control can cause this with whole km/h.
-
-    The finding is an error if the accelerometer shows that the vehicle's speed changes.
-    """
+    """Report a speed that never changes: an error if the accelerometer shows changes of speed.
+    Cruise control can cause it with whole km/h."""
     if not motion.drives:
         return
     known = motion.grid["speed"][np.isfinite(motion.grid["speed"])]
@@ -261,8 +257,7 @@ def _constant_speed(motion: Motion) -> Iterator[Finding]:
 
 def _is_driven_both_ways(motion: Motion) -> bool:
     """True if the specific force varies in both horizontal directions by more than slopes cause.
-    Bends change only the lateral force. The longitudinal force changes only with speed and slope.
-    """
+    Bends change only the lateral force."""
     if motion.accel is None or motion.up is None:
         return False
     force = motion.accel[np.isfinite(motion.accel).all(axis=1)]
@@ -294,7 +289,6 @@ def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[F
 def _not_checked(
     motion: Motion, rates: Mapping[str, Array], stated: OrientationSettings
 ) -> Iterator[Finding]:
-    """Report the checks that this drive or its signals do not allow."""
     left: list[str] = []
     turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if not turning:

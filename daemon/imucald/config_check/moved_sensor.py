@@ -111,7 +111,6 @@ def _split(force: Array, parts: Sequence[tuple[int, int]]) -> tuple[float, int, 
 
 
 def _stops(motion: Motion) -> list[tuple[int, int]]:
-    """Return the first tick of each stop, and the tick after its end."""
     if motion.standing is None:
         return []
     runs = true_runs(motion.standing).tolist()

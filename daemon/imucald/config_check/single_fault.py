@@ -89,7 +89,6 @@ def _agreeing(found: Iterable[Finding]) -> int | None:
 
 
 def _faults(motion: Motion) -> Iterator[SingleFault]:
-    """Yield all single faults that the signals may have."""
     for quantity, channel in _SIDED.items():
         if channel in motion.grid:
             yield SingleFault(quantity, "wrong sign", sign_remedy(quantity), channel, -np.eye(1))

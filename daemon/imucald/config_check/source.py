@@ -9,7 +9,7 @@ from typing import Any
 
 from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.message import Signal
-from imucald.config import LoadedConfig
+from imucald.config import LoadedConfig, Wheels
 from imucald.config_check.finding import Finding
 from imucald.config_check.statistics import Probe, SignalStatistics
 from imucald.core.samples import DIMENSIONS, QUANTITIES
@@ -17,7 +17,6 @@ from imucald.inputs.quantities import Wanted, wanted_numbers
 from imucald.inputs.routes import MessageRoute
 
 _NAMES_SIGN = re.compile("sign|vz|vorz|dir|richt|neg|left|right|links|rechts", re.I)
-_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 def configured_name(channel: str) -> str:
@@ -41,7 +40,8 @@ class QuantitySource:
         word = configured_name(self.wanted.channel)
         if self.wanted.width == 3:
             return f"{word}.{'xyz'[self.wanted.slot]}"
-        return f"{word}.{_WHEELS[self.wanted.slot]}" if self.wanted.width == 4 else word
+        wheel = Wheels.__struct_fields__[self.wanted.slot]
+        return f"{word}.{wheel}" if self.wanted.width == 4 else word
 
     @property
     def unit(self) -> str:

@@ -11,6 +11,9 @@ from __future__ import annotations
 class ImucaldError(Exception):
     """Base of all errors that imucald raises on purpose."""
 
+    exit_status = 1
+    """Exit status of a command that this error ends."""
+
 
 class ConfigError(ImucaldError):
     """The configuration (a YAML file or a file named in it) is wrong. The text states place, reason

@@ -257,6 +257,12 @@ def quaternion_turned(q: Quaternion, x: float, y: float, z: float) -> Quaternion
     return quaternion_product(q, quaternion_from_vector(x, y, z))
 
 
+def rotation_from_quaternion(q: Sequence[float]) -> Matrix3:
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = q
+    return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
+
+
 def rows_from_quaternion(
     q: tuple[Number, Number, Number, Number],
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, TextIO
 
 _SURROGATES: Final = "\ud800-\udfff"
@@ -99,6 +99,13 @@ def when_reached(name: str, seconds: float) -> str:
     was reached from the start.
     """
     return f"{name} after {clock(seconds)}" if seconds >= 1.0 else f"{name} from the start"
+
+
+def reached_states(result: Mapping[str, Any], lead: float = 0.0) -> list[str]:
+    """Return when a result or status says that *usable* and *fine* were reached. lead: time [s] to
+    subtract."""
+    times = {name: result[f"first_{name}_s"] for name in ("usable", "fine")}
+    return [when_reached(name, t - lead) for name, t in times.items() if t is not None]
 
 
 def duration(seconds: float) -> str:

@@ -224,9 +224,8 @@ def messages_in(
 
 
 def _chosen_sender(frames: FrameColumns, often: Sequence[int]) -> int:
-    """Return the sender of a J1939 message that `run` chooses, if it is one of those that sent
-    often enough; else the first of these.
-    """
+    """Return the sender of a J1939 message that `run` chooses, or else the first of those that sent
+    often enough."""
     choice = SenderChoice()
     for t, can_id, data in frames.rows():
         if choice.is_settled(t):

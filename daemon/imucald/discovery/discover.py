@@ -8,11 +8,15 @@ import numpy as np
 from msgspec.structs import asdict
 
 from imucald.can.dbc.database import Database
-from imucald.can.j1939_transport import announced_messages
+from imucald.can.dbc.decode import compile_decode, id_match
+from imucald.can.dbc.message import Message
+from imucald.can.j1939_transport import announced_messages, in_transport
 from imucald.can.lost_frames import dropping_recorder, lost_share
 from imucald.config.network import OutputIds
 from imucald.config_check.finding import cut_frames
 from imucald.config_check.moved_sensor import sensor_move
+from imucald.core.errors import DatabaseError
+from imucald.core.samples import QUANTITIES, TEMPERATURE
 from imucald.core.text import clock, counted
 from imucald.discovery.candidates import (
     MessageTraffic,
@@ -20,6 +24,7 @@ from imucald.discovery.candidates import (
     candidates_of,
     compared_by_pgn,
     messages_in,
+    misses_sign,
     obd_speeds,
     readable_messages,
     silent_candidates,
@@ -31,10 +36,8 @@ from imucald.discovery.flags import (
     find_temperature,
     unseen_reverse,
 )
-from imucald.discovery.heading import heading_choice
-from imucald.discovery.mirrored import doubt_both_sensors, hold_against_usual_signs
-from imucald.discovery.names import by_names
-from imucald.discovery.not_found import not_found
+from imucald.discovery.heading import doubt_both_sensors, heading_choice, hold_against_usual_signs
+from imucald.discovery.names import by_names, named_so
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
 from imucald.discovery.raw_search import raw_choices, raw_fields
@@ -47,8 +50,6 @@ from imucald.motion.ticks import TICK_RATE
 
 LEAST_PART_S = 60.0
 """Shortest part of a recording that is used, if the sensor was moved in the recording [s]."""
-LEAST_LOSS = 0.05
-"""Smallest share of lost frames [%] that is shown. A smaller share would be shown as 0.0."""
 
 
 def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
@@ -137,14 +138,13 @@ def _discovered(
 
 def _lost(shares: Mapping[str, float | None]) -> list[str]:
     """Return a text with the lost share of each message; empty if no message has losses."""
-    known = {name: 100.0 * share for name, share in shares.items() if share is not None}
-    if not any(share >= LEAST_LOSS for share in known.values()):
+    known = {name: f"{100.0 * share:.1f}" for name, share in shares.items() if share is not None}
+    if not set(known.values()) - {"0.0"}:
         return []
-    return ["Frames lost: " + ", ".join(f"{n} {x:.1f} %" for n, x in known.items()) + "."]
+    return ["Frames lost: " + ", ".join(f"{n} {x} %" for n, x in known.items()) + "."]
 
 
 def _announced(traffic: Sequence[Traffic]) -> dict[int, int]:
-    """Return the J1939 transport announcements on all channels, see `announced_messages`."""
     found: dict[int, int] = {}
     for one in traffic:
         ids = np.full(len(one), one.can_id, np.uint32)
@@ -176,7 +176,6 @@ def doubt_sender(choice: Choice, messages: Mapping[str, MessageTraffic]) -> None
 def _notes(
     recording: GatheredFrames, candidates: Sequence[SeenSignal], databases: Mapping[str, Database]
 ) -> Iterator[str]:
-    """Yield the notes about the recording for the head of the file."""
     if not recording.frames:
         yield "No recording was given: the proposal uses names and units only and is unsure."
         return
@@ -218,7 +217,7 @@ def choices_from(
     proposal.vehicle += vehicle
     reference = sensors.reference
     found: list[Choice | None] = [
-        *sensors.choices(),
+        *sensors.choices,
         *of_motion,
         find_reverse(reference, free),
         find_brake(reference.motion, free),
@@ -268,3 +267,83 @@ def _channel_of(database: Database, traffic: Sequence[Traffic]) -> str | None:
         return None
     counts = {c: sum(1 for _ in messages_in(database, traffic, c)) for c in channels}
     return max(counts, key=lambda c: counts[c])
+
+
+def not_found(
+    found: Set[str],
+    used: Set[str],
+    databases: Mapping[str, Database],
+    messages: Mapping[str, MessageTraffic],
+    candidates: Sequence[SeenSignal],
+    announced: Mapping[int, int],
+) -> dict[str, str]:
+    """Return, for each missing quantity, the reason why a signal with a similar name was not used.
+
+    The reason is empty if no signal has such a name. used: paths of signals used for another
+    quantity. announced: messages announced by J1939 transport frames, see `announced_messages`.
+    """
+    seen = {c.path: c for c in candidates}
+    reasons = {}
+    for quantity in (row.key for row in QUANTITIES.values()):
+        if quantity not in found and quantity != "magnetometer":  # which is rare
+            named = _named(quantity, databases)
+            why = (
+                _why(quantity, message, name, messages, seen, announced)
+                for message, name in named
+                if f"{message.name}.{name}" not in used
+            )
+            reasons[quantity] = next(filter(None, why), "")
+    return reasons
+
+
+def _named(quantity: str, databases: Mapping[str, Database]) -> Iterator[tuple[Message, str]]:
+    for database in databases.values():
+        for message in database.messages.values():
+            yield from ((message, name) for name in message.signals if named_so(quantity, name))
+
+
+def _why(
+    quantity: str,
+    message: Message,
+    name: str,
+    messages: Mapping[str, MessageTraffic],
+    seen: Mapping[str, SeenSignal],
+    announced: Mapping[int, int],
+) -> str:
+    path = f"{message.name}.{name}"
+    if path in seen:
+        return f"{path} {_why_not_chosen(quantity, seen[path])}"
+    try:
+        plan = compile_decode(message, [name])
+        id_match(message)
+    except DatabaseError as error:
+        return f"{path} cannot be read: {error}"
+    traffic = messages.get(message.name)
+    if traffic is None:
+        match = id_match(message, j1939=True)
+        sizes = [size for can_id, size in announced.items() if match.matches(can_id, "")]
+        return f"{message.name} does not come" + (f": {in_transport(max(sizes))}" if sizes else "")
+    longest = int(traffic.length.max())
+    if longest < message.length:
+        return (
+            f"the frames of {message.name} have {longest} bytes, but the database says "
+            f"{message.length}"
+        )
+    decoded = plan.decode_columns(traffic.data, traffic.length)
+    if misses_sign(message.signal(name), decoded.raw[0][decoded.ok]):
+        return (
+            f"{path} is signed according to its values, but unsigned in the database: in a DBC, "
+            "change '+' to '-' behind '@0' or '@1' of its line"
+        )
+    return f"{path} has no usable value"
+
+
+def _why_not_chosen(quantity: str, signal: SeenSignal) -> str:
+    if signal.is_constant:
+        return "never changes"
+    if quantity == TEMPERATURE.key and signal.states("temperature"):
+        return "may be the temperature of another part"
+    unit = f" (its unit is '{signal.unit}')" if signal.unit else ""
+    if quantity == TEMPERATURE.key:
+        return f"has no unit of temperature{unit}"
+    return f"does not follow the motion in any unit of this quantity{unit}"

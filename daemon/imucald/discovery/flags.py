@@ -22,7 +22,6 @@ from imucald.discovery.reference import KnownMotion
 from imucald.inputs.units import find_unit
 
 CREEP = 0.2
-MIN_REVERSE_TICKS = 15
 BRAKING = 0.7
 """Deceleration that needs a brake [m/s^2]. Drag and engine braking cause less than about 0.6."""
 COASTING = 0.3
@@ -31,10 +30,7 @@ ENGINE_WARM = 75.0
 """Temperature that coolant and oil exceed [degC]. Thermostats open at 80 to 95 degC."""
 CLEAR_MATTHEWS = 0.6
 """Smallest Matthews correlation between a switch and braking at which the switch is the brake."""
-LEVER_BITS = 8
-"""Largest length of a gear lever's signal [bits]. A gear lever has fewer than 256 positions."""
 _LEVER_WORDS = frozenset(("gear", "gang", "lever", "selector", "prnd", "getriebe", "reverse"))
-_REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
 def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
@@ -92,7 +88,7 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
             continue
         for level in c.levels:
             at = (c.held == level) & known
-            if np.count_nonzero(at) < MIN_REVERSE_TICKS or float(v[at].max()) > REVERSE_SPEED:
+            if np.count_nonzero(at) < SMOOTH or float(v[at].max()) > REVERSE_SPEED:
                 continue
             a, b = _less_their_means(along, at), _less_their_means(change, at)
             product, sizes = float(a @ b), float(a @ a) * float(b @ b)
@@ -111,7 +107,7 @@ def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
 def _names_reverse(signal: Signal) -> float | None:
     """Return the physical value that the value table calls reverse, or None."""
     for raw, name in signal.choices.items():
-        if name.strip().lower() in _REVERSE_NAMES:
+        if name.strip().lower() in ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts"):
             return float(raw * signal.scale + signal.offset)
     return None
 
@@ -141,9 +137,7 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
     levers = [
         c.path
         for c in candidates
-        if c.has_no_unit
-        and c.signal.length <= LEVER_BITS
-        and _LEVER_WORDS & {*words(c.signal.name), *words(c.message.name)}
+        if c.has_no_unit and _LEVER_WORDS & {*words(c.signal.name), *words(c.message.name)}
     ]
     if levers:
         yield (

@@ -9,21 +9,21 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 
+from imucald.config import Wheels
 from imucald.discovery.candidates import SeenSignal, words
 from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 
-WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-_FRONT, _REAR = ("f", "v", "front", "vorn", "vorne", "vorder", "av"), (
-    "r", "h", "b", "rear", "back", "hinten", "hinter", "ar",
-)  # fmt: skip
-_LEFT, _RIGHT = ("l", "left", "links", "g"), ("r", "right", "rechts", "d")
+WHEELS = Wheels.__struct_fields__
+_FRONT = ("front", "vorn", "vorne", "vorder", "av")
+_REAR = ("rear", "back", "hinten", "hinter", "ar")
+_LEFT, _RIGHT = ("left", "links"), ("right", "rechts")
 _CORNERS = {
-    **{a + b: WHEELS[0] for a in ("f", "v") for b in ("l",)},
-    **{a + b: WHEELS[1] for a in ("f", "v") for b in ("r",)},
-    **{a + b: WHEELS[2] for a in ("r", "h", "b") for b in ("l",)},
-    **{a + b: WHEELS[3] for a in ("r", "h", "b") for b in ("r",)},
-    "lf": WHEELS[0], "rf": WHEELS[1], "lr": WHEELS[2], "lh": WHEELS[2], "rh": WHEELS[3],
-}  # fmt: skip
+    name: wheel
+    for wheel, names in zip(
+        WHEELS, ("fl vl lf", "fr vr rf", "rl hl bl lr lh", "rr hr br rh"), strict=True
+    )
+    for name in names.split()
+}
 _AXES = {
     "x": ("longitudinal", "long", "lon", "laengs", "längs", "surge", "roll", "wank"),
     "y": ("lateral", "lat", "quer", "sway", "pitch", "nick"),
@@ -72,10 +72,9 @@ def wheel_by_name(name: str) -> str | None:
     for part in reversed(parts):
         if part in _CORNERS:
             return _CORNERS[part]
-    front = any(p in _FRONT[2:] for p in parts)
-    rear = any(p in _REAR[3:] for p in parts)
-    left = any(p in _LEFT[1:3] for p in parts)
-    right = any(p in _RIGHT[1:3] for p in parts)
+    front, rear, left, right = (
+        any(p in known for p in parts) for known in (_FRONT, _REAR, _LEFT, _RIGHT)
+    )
     if front == rear or left == right:
         return None
     return f"{'front' if front else 'rear'}_{'left' if left else 'right'}"

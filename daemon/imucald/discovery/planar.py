@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,7 +17,6 @@ from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, source_of
 from imucald.discovery.reference import KnownMotion, SpeedFit, speed_candidates
 
-_LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
 WRONG_SCALE = 2.0
 """Largest accepted ratio of a measured scale to the stated scale. Reverse-engineered databases have
 such errors. A larger ratio means another unit."""
@@ -74,7 +72,7 @@ def find_planar(
             break
     else:
         return None
-    sign, shows_left = _sides(v, candidates, wheels, across.first)
+    sign, shows_left = _sides(v, wheels, across.first)
     x_sign, y_sign = best.relation.sign, sign * across.relation.sign
     x, y = best.second.x * best.unit.factor * x_sign, across.second.x * across.unit.factor * y_sign
     grid = {
@@ -137,23 +135,14 @@ def _is_clear(found: Relation, comparisons: int) -> bool:
     return found.is_believed_of(comparisons) and found.explained >= RELATED
 
 
-def _sides(
-    v: Array, candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, yaw: SeenSignal
-) -> tuple[int, bool]:
-    """Return the sign that makes a yaw rate positive to the left, and whether a signal or a comment
-    shows this sign."""
+def _sides(v: Array, wheels: Sequence[SeenSignal] | None, yaw: SeenSignal) -> tuple[int, bool]:
+    """Return the sign that makes a yaw rate positive to the left, and whether wheels show this
+    sign."""
     if wheels:
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):
             fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
             found = relation(yaw.smooth / v, right_less_left(fl, fr, rl, rr) / v)
             if found.is_believed_of(1):
-                return found.sign, True
-    if _LEFT.search(yaw.signal.comment):
-        return 1, True
-    for c in candidates:
-        if _LEFT.search(c.signal.comment) and c.states("angle"):
-            found = relation(yaw.smooth, c.smooth * v)
-            if _is_clear(found, 1):
                 return found.sign, True
     return 1, False

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import json
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any
 
+from imucald.core.samples import QUANTITIES
 from imucald.discovery.candidates import SeenSignal
 
 MAX_ALTERNATIVES = 3
@@ -19,11 +22,11 @@ class Proposed:
     signal: str = ""
     """Name ``MESSAGE.SIGNAL``; empty if `raw` is given."""
     raw: Mapping[str, Any] | None = None
+    sign_signal: str | None = None
+    source_address: int | None = None
     unit: str | None = None
     """The unit, if it differs from the unit in the database."""
     sign: int = 1
-    sign_signal: str | None = None
-    source_address: int | None = None
     offset: float = 0.0
     not_available: tuple[int, ...] = ()
     equals: tuple[float, ...] | None = None
@@ -31,28 +34,13 @@ class Proposed:
     channel: str | None = None
 
     def settings(self) -> str | dict[str, Any]:
-        """Return the entry for the configuration. The entry is a text if only the name of the
-        signal is needed."""
-        found: dict[str, Any] = {"raw": dict(self.raw)} if self.raw else {"signal": self.signal}
-        if self.sign_signal is not None:
-            found["sign_signal"] = self.sign_signal
-        if self.source_address is not None:
-            found["source_address"] = self.source_address
-        if self.unit is not None:
-            found["unit"] = self.unit
-        if self.sign < 0:
-            found["sign"] = -1
-        if self.offset:
-            found["offset"] = self.offset
-        if self.not_available:
-            found["not_available"] = list(self.not_available)
-        if self.equals is not None:
-            found["equals"] = self.equals[0] if len(self.equals) == 1 else list(self.equals)
-        if self.above is not None:
-            found["above"] = self.above
-        if self.channel is not None:
-            found["channel"] = self.channel
-        return self.signal if self.signal and len(found) == 1 else found
+        """Return the entry for the configuration: the keys that are not at their defaults, or a
+        text if only the name of the signal is needed."""
+        all_keys = ((f.name, getattr(self, f.name), f.default) for f in fields(self))
+        found = {name: value for name, value, default in all_keys if value != default}
+        if self.equals is not None and len(self.equals) == 1:
+            found["equals"] = self.equals[0]
+        return self.signal if list(found) == ["signal"] else found
 
 
 @dataclass(frozen=True)
@@ -147,3 +135,141 @@ def source_of(
         not_available=candidate.unavailable,
         **others,
     )
+
+
+WIDTH = 100
+_MISSING = {
+    "accelerometer": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
+    "gyroscope": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
+    "speed": "MESSAGE.SIGNAL",
+}
+"""Template lines for important quantities that were not found."""
+
+
+def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
+    """Return the text of the configuration file. databases: paths as written in the file."""
+    return "\n".join(_lines(proposal, databases)) + "\n"
+
+
+def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
+    yield "# Proposed by 'imucald init'. Please check it: the evidence is above each entry."
+    yield (
+        "# 'unsure' marks entries that the recording does not confirm. All keys: "
+        "docs/configuration.md"
+    )
+    for note in proposal.notes:
+        yield from _comment(note, "")
+    yield ""
+    yield from _databases(proposal, databases)
+    yield ""
+    yield "vehicle:"
+    yield "  id: my-car"
+    unknown = " # state left or right: roads slope to the side, which looks like mount roll"
+    side = proposal.driving_side
+    yield f"  driving_side: {side}{unknown if side == 'unknown' else ''}"
+    for key, value, evidence in proposal.vehicle:
+        yield f"  {key}: {value} # {evidence}"
+    yield ""
+    yield "signals:"
+    by_name = {choice.quantity: choice for choice in proposal.choices}
+    for name in (row.key for row in QUANTITIES.values()):
+        choice = by_name.get(name)
+        if choice is not None:
+            yield from _choice(choice)
+        elif name in _MISSING:
+            yield f"  # {name}: {_MISSING[name]} # not found"
+        if proposal.missing.get(name):
+            yield from _comment(f"{name}: not found: {proposal.missing[name]}", "  ")
+        elif name in proposal.missing and name not in _MISSING:
+            yield f"  # {name}: not found"
+    if proposal.protections:
+        yield ""
+        yield "messages:"
+        for found in proposal.protections:
+            yield f"  {_flow(found.message)}:"
+            for key, value in found.settings.items():
+                yield f"    {key}: {_flow(value)} # {found.evidence[key]}"
+    if proposal.output_ids:
+        yield ""
+        yield "output:"
+        yield "  ids: # the default ids are used on this bus already, or in its database"
+        for name, can_id in proposal.output_ids.items():
+            yield f"    {name}: 0x{can_id:03X}"
+
+
+def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
+    entries: list[Any] = []
+    for path in databases:
+        channel = proposal.channels.get(path)
+        more: dict[str, Any] = {} if channel is None else {"channel": channel}
+        if path in proposal.by_pgn:
+            more["j1939"] = True
+            yield "# its messages come from other source addresses, so PGNs are compared (J1939)"
+        entries.append({"path": path, **more} if more else path)
+    if entries:
+        yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
+    else:
+        yield "# database: car.dbc # required; an empty .dbc is enough if every source is 'raw'"
+
+
+def _choice(choice: Choice) -> Iterator[str]:
+    yield from _comment(choice.evidence, "  ")
+    if choice.doubt:
+        yield from _comment(f"unsure: {choice.doubt}", "  ")
+    if choice.sources:
+        yield from _sources(choice.quantity, choice.sources, "  ")
+    for other in choice.alternatives:
+        yield from _alternative(choice.quantity, other)
+
+
+def _alternative(quantity: str, other: Alternative) -> Iterator[str]:
+    """Yield one commented line of any length. The user can replace the chosen line with this
+    line."""
+    flat: Any = {key: one.settings() for key, one in other.sources.items()}
+    value = flat.get("", flat)
+    yield f"  # unsure: {quantity}: {_flow(value)} # {other.text}"
+
+
+def _sources(quantity: str, sources: Mapping[str, Proposed], indent: str) -> Iterator[str]:
+    if "" in sources:
+        yield f"{indent}{quantity}: {_flow(sources[''].settings())}"
+        return
+    yield f"{indent}{quantity}:"
+    for key, one in sources.items():
+        yield f"{indent}  {key}: {_flow(one.settings())}"
+
+
+def _flow(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}: {_of_key(k, v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_flow(v) for v in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return value if _is_plain(value) else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return str(value)
+
+
+def _of_key(key: str, value: Any) -> str:
+    """Format the value of a key. Identifiers are written in hexadecimal."""
+    if key == "source_address":
+        return f"0x{value:02X}"
+    return f"0x{value:03X}" if key == "id" and isinstance(value, int) else _flow(value)
+
+
+def _is_plain(text: str) -> bool:
+    """True if YAML reads a text without quotes unchanged, also in a list."""
+    words = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "~"}
+    if not text or text.lower() in words or text != text.strip():
+        return False
+    plain = all(c.isalnum() or c in "_./^²°%" for c in text)
+    return plain and (text[0].isalpha() or text[0] in "_./") and text.isascii()
+
+
+def _comment(text: str, indent: str) -> Iterator[str]:
+    width = WIDTH - len(indent) - 2
+    lines = textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False)
+    yield from (f"{indent}# {line}" for line in lines)

@@ -8,24 +8,18 @@ every frame. If ids alternate, the contribution is the same for all frames with 
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Field, field_of, read_column, words_of
+from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksum_engine import Checksum, ChecksumSpec
-from imucald.can.e2e.checksums import (
-    E2E_COUNTERS,
-    KINDS,
-    DataIdMode,
-    e2e_profile_1,
-    e2e_profile_2,
-    e2e_profile_5,
-)
+from imucald.can.e2e.checksums import KINDS, DataIdMode
 from imucald.core.errors import ConfigError
 from imucald.discovery.candidates import MessageTraffic
 from imucald.discovery.proposal import ProtectionFound
@@ -37,11 +31,9 @@ FITS = 0.99
 """Share of the frames that a checksum must fit. A recording may contain damaged frames."""
 COUNTS = 0.9
 """Share of the frames in which a counter must increase by 1. A tenth of the frames may be lost."""
-COUNTER_BITS = range(2, 17)
 ID_BYTES = (0, 2, 4, 1)
 """Numbers of identifier bytes at the start of a checksum's input, the most frequent first."""
 
-_NAMES = re.compile(r"crc|check|chk|cks|pruef|bcc", re.IGNORECASE)
 
 Columns = NDArray[np.uint8]
 
@@ -71,7 +63,7 @@ def find_protection(one: MessageTraffic) -> ProtectionFound | None:
     is_varied = len({row.tobytes() for row in data}) >= MIN_DIFFERENT
     checksum = _checksum_in_signal(one, data) if is_varied else None
     if checksum is None and is_varied:
-        checksum = next(_e2e(one.message.length, data), None)
+        checksum = next(_e2e(one.message, data), None)
         if checksum is not None:  # its profile defines the counter
             settings.pop("counter", None)
             evidence.pop("counter", None)
@@ -84,7 +76,7 @@ def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] |
     best: tuple[float, dict[str, Any], str] | None = None
     for name, signal in one.message.signals.items():
         whole = not signal.is_float and not signal.is_signed and not signal.selectors
-        if not whole or signal.length not in COUNTER_BITS:
+        if not whole or not 2 <= signal.length <= 16:
             continue
         field = field_of(signal)
         if field.first_bit < 0 or field.end_byte > one.message.length:
@@ -109,7 +101,7 @@ def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, A
     # each byte is the XOR of all others: the last one is probably the checksum
     for name, signal in sorted(
         one.message.signals.items(),
-        key=lambda item: (not _NAMES.search(item[0]), -field_of(item[1]).first_bit),
+        key=lambda item: -field_of(item[1]).first_bit,
     ):
         if signal.length != 8 or signal.is_float:
             continue
@@ -137,92 +129,84 @@ def _share(spec: ChecksumSpec, data: Columns) -> float:
     return float(np.mean(checksum.are_right(data)))
 
 
-def _e2e(size: int, data: Columns) -> Iterator[tuple[dict[str, Any], str]]:
+def _e2e(message: Message, data: Columns) -> Iterator[tuple[dict[str, Any], str]]:
     """Yield the settings of each E2E profile that fits with any data id."""
-    for offset in range(size - 1):
-        stored = data[:, offset]
-        if len(np.unique(stored)) < MIN_DIFFERENT:
+    for offset in range(message.length - 1):
+        if len(np.unique(data[:, offset])) < MIN_DIFFERENT:
             continue
-        for profile in (_profile_1, _profile_2, _profile_5):
+        for kind, data_ids in (("e2e_p1", _ids_1), ("e2e_p2", _ids_2), ("e2e_p5", _ids_5)):
+            spec = partial(_e2e_spec, message, kind, offset)
             try:
-                found = profile(size, offset, data)
+                counter = _header_counter(kind, offset, data)
+                found = None if counter is None else data_ids(spec, counter, data)
             except ConfigError:  # the header does not fit at this place
                 continue
-            if found is not None:
-                spec, settings, words = found
-                share = _share(spec, data)
-                if share >= FITS:
-                    text = f"fits {_percent(share)} of {len(data)} frames{words}"
-                    if offset:
-                        settings["offset"] = offset
-                    yield settings, text
+            if found is not None and (share := _share(spec(**found), data)) >= FITS:
+                settings = {"kind": kind, **found, **({"offset": offset} if offset else {})}
+                text = f"fits {_percent(share)} of {len(data)} frames"
+                if found.get("data_id_mode") == "low":
+                    text += "; other ids and modes give the same checksum, so check the id in the "
+                    text += "data sheet"
+                yield settings, text
 
 
-Found = tuple[ChecksumSpec, dict[str, Any], str] | None
+def _e2e_spec(
+    message: Message,
+    kind: str,
+    offset: int,
+    data_id: int | list[int],
+    data_id_mode: DataIdMode = "both",
+) -> ChecksumSpec:
+    ids = tuple(data_id) if isinstance(data_id, list) else data_id
+    return KINDS[kind].make(message, _Options(None, 0, offset, ids, data_id_mode))
 
 
-def _profile_1(size: int, offset: int, data: Columns) -> Found:
-    counter = _header_counter(1, offset, data)
-    if counter is None:
+Spec = Callable[..., ChecksumSpec]
+
+
+def _ids_1(spec: Spec, counter: NDArray[np.int64], data: Columns) -> dict[str, Any] | None:
+    ids = _contributions(lambda i: spec(data_id=i, data_id_mode="low"), 8)
+    added = _added(spec(data_id=0, data_id_mode="low"), data)
+    found = ids.get(_common(added))
+    if found is not None:
+        return {"data_id": found, "data_id_mode": "low"}
+    even, odd = (ids.get(_common(added[counter % 2 == parity])) for parity in (0, 1))
+    if even is None or odd is None:
         return None
-    without = e2e_profile_1(size, 0, "low", offset)
-    added = _added(without, data)
-    ids = {_difference(e2e_profile_1(size, i, "low", offset), without): i for i in range(256)}
-    words = "; other ids and modes give the same checksum, so check the id in the data sheet"
-    common = _common(added)
-    if common in ids:
-        return (
-            e2e_profile_1(size, ids[common], "low", offset),
-            {"kind": "e2e_p1", "data_id": ids[common], "data_id_mode": "low"},
-            words,
-        )
-    even, odd = (_common(added[counter % 2 == parity]) for parity in (0, 1))
-    if even in ids and odd in ids:
-        data_id = ids[even] | ids[odd] << 8
-        return (
-            e2e_profile_1(size, data_id, "alternating", offset),
-            {"kind": "e2e_p1", "data_id": data_id, "data_id_mode": "alternating"},
-            "",
-        )
-    return None
+    return {"data_id": even | odd << 8, "data_id_mode": "alternating"}
 
 
-def _profile_2(size: int, offset: int, data: Columns) -> Found:
-    counter = _header_counter(2, offset, data)
-    if counter is None:
-        return None
-    without = e2e_profile_2(size, [0] * 16, offset)
-    added = _added(without, data)
-    ids = {_difference(e2e_profile_2(size, [i] * 16, offset), without): i for i in range(256)}
-    commons = [_common(added[counter == value]) for value in range(16)]
-    if not all(c in ids for c in commons):
-        return None
-    data_ids = [ids[c] for c in commons if c is not None]
-    return e2e_profile_2(size, data_ids, offset), {"kind": "e2e_p2", "data_id": data_ids}, ""
+def _ids_2(spec: Spec, counter: NDArray[np.int64], data: Columns) -> dict[str, Any] | None:
+    ids = _contributions(lambda i: spec(data_id=[i] * 16), 8)
+    added = _added(spec(data_id=[0] * 16), data)
+    found = [ids.get(_common(added[counter == value])) for value in range(16)]
+    return None if None in found else {"data_id": found}
 
 
-def _profile_5(size: int, offset: int, data: Columns) -> Found:
-    if _header_counter(5, offset, data) is None:
-        return None
-    without = e2e_profile_5(size, 0, offset)
-    common = _common(_added(without, data))
-    if common is None:
-        return None
+def _ids_5(spec: Spec, _: NDArray[np.int64], data: Columns) -> dict[str, Any] | None:
+    ids = _contributions(lambda i: spec(data_id=i), 16)
+    found = ids.get(_common(_added(spec(data_id=0), data)))
+    return None if found is None else {"data_id": found}
+
+
+def _contributions(spec: Callable[[int], ChecksumSpec], bits: int) -> dict[int | None, int]:
+    """Return the ids by their contribution to the checksum of any frame, without ids that share
+    one. The contribution of an id is the sum over its bits."""
+    zero = bytes(spec(0).size)
     made = np.zeros(1, np.uint16)
-    for power in range(16):  # the contribution of an id is the sum over its bits
-        one = _difference(e2e_profile_5(size, 1 << power, offset), without)
+    for bit in range(bits):
+        one = Checksum(spec(1 << bit)).compute(zero) ^ Checksum(spec(0)).compute(zero)
         made = np.concatenate([made, made ^ np.uint16(one)])
-    fitting = np.flatnonzero(made == common)
-    if len(fitting) != 1:
-        return None
-    data_id = int(fitting[0])
-    return e2e_profile_5(size, data_id, offset), {"kind": "e2e_p5", "data_id": data_id}, ""
+    numbers, first, count = np.unique(made, return_index=True, return_counts=True)
+    alone = count == 1
+    return dict(zip(numbers[alone].tolist(), first[alone].tolist(), strict=True))
 
 
-def _header_counter(profile: int, offset: int, data: Columns) -> NDArray[np.int64] | None:
+def _header_counter(kind: str, offset: int, data: Columns) -> NDArray[np.int64] | None:
     """Return the counter (N,) of an E2E header that begins at this byte of the frame; None if it
     does not count up."""
-    header = E2E_COUNTERS[profile]
+    header = KINDS[kind].counter
+    assert header is not None, "every E2E profile has a counter"
     field = Field(8 * offset + header.bit, header.length, "little_endian")
     if field.end_byte > data.shape[1]:
         return None
@@ -235,12 +219,6 @@ def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
     """Return the XOR difference (N,) between the stored checksums and checksums without an id."""
     checksum = Checksum(spec)
     return checksum.stored_columns(data) ^ checksum.compute_columns(data)
-
-
-def _difference(spec: ChecksumSpec, without: ChecksumSpec) -> int:
-    """Return the contribution of an id to the checksum of any frame."""
-    zero = bytes(spec.size)
-    return Checksum(spec).compute(zero) ^ Checksum(without).compute(zero)
 
 
 def _common(values: NDArray[np.uint16]) -> int | None:

@@ -1,8 +1,7 @@
 """Find a speed and a steering angle in bytes that no database describes.
 
 A field of one or two bytes is used if consecutive values are close together and the range of the
-values is wide. Upper bits that jump (flags of other signals) are masked. Fields are proposed as
-`raw`.
+values is wide. Fields are proposed as `raw`.
 
 Speeds are fields that are proportional to each other: wheels, transmission, display. The steering
 angle is a field that follows the curvature, which is the difference of two wheel speeds divided by
@@ -19,16 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
-from imucald.can.dbc.message import Message, Signal
-from imucald.config_check.motion import Motion, bridged, change_of, smooth
-from imucald.config_check.relation import Relation, relation
-from imucald.config_check.response import response
+from imucald.can.dbc.message import ByteOrder, Message, Signal
+from imucald.config_check.motion import Motion, change_of
+from imucald.config_check.relation import Relation, relation, response
 from imucald.core.arrays import Array
-from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.candidates import MessageTraffic, SeenSignal, candidates_of
 from imucald.discovery.evidence import SAME_MOTION
 from imucald.discovery.proposal import MAX_ALTERNATIVES, Alternative, Choice, Proposed
 from imucald.discovery.recording import Traffic
-from imucald.motion.ticks import TICK_RATE
 
 MIN_FRAMES = 200
 MIN_LEVELS = 40
@@ -38,9 +35,6 @@ CLOSE = 0.02
 JUMP = 0.25
 """Smallest step that counts as a jump, as a share of the range (a wrap, or bits of other
 signals)."""
-MAX_MASKED = 5
-"""Largest number of upper bits that may belong to other signals."""
-MAX_STEP_S = 1.0
 ROLL_TOGETHER = 0.995
 """Smallest correlation between two speeds of one vehicle."""
 NO_OFFSET = 0.02
@@ -57,16 +51,9 @@ scale is less than a third."""
 def raw_choices(fields: Sequence[SeenSignal], motion: Motion, wanted: set[str]) -> list[Choice]:
     """Return suggestions for `speed` and `steering_wheel_angle` if they are in `wanted`. The
     suggestions are written as comments."""
-    found = []
-    if "speed" in wanted:
-        choice = _speed(fields, motion)
-        if choice is not None:
-            found.append(choice)
-    if "steering_wheel_angle" in wanted:
-        choice = _steering(fields, motion)
-        if choice is not None:
-            found.append(choice)
-    return found
+    searches = {"speed": _speed, "steering_wheel_angle": _steering}
+    found = (search(fields, motion) for name, search in searches.items() if name in wanted)
+    return [choice for choice in found if choice is not None]
 
 
 def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choice | None:
@@ -249,25 +236,21 @@ def _field(one: Traffic, places: tuple[int, ...], ticks: int, several: bool) -> 
     data = one.data.astype(np.int64)
     if len(places) == 2 and len(np.unique(data[:, places[1]])) < MIN_LEVELS:
         return None  # no data in the low byte: the field has one byte
-    for masked in range(MAX_MASKED + 1 if len(places) == 2 else 1):
-        mask = 0xFF >> masked
-        values = data[:, places[0]] & mask
-        if len(places) == 2:
-            values = values * 256 + data[:, places[1]]
-        if _is_smooth(one.t, values):
-            return _candidate(one, places, mask, values.astype(np.float64), ticks, several)
-    return None
+    values = data[:, places[0]]
+    if len(places) == 2:
+        values = values * 256 + data[:, places[1]]
+    return _candidate(one, places, ticks, several) if _is_smooth(values) else None
 
 
-def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
+def _is_smooth(values: NDArray[np.int64]) -> bool:
     span = int(values.max() - values.min())
     if span < MIN_LEVELS or len(np.unique(values)) < MIN_LEVELS:
         return False
-    steps = np.abs(np.diff(values))[np.diff(t) < MAX_STEP_S]
-    if not len(steps) or float(np.mean(steps > 0)) < 0.01:
+    both = np.diff(values)
+    steps = np.abs(both)
+    if float(np.mean(steps > 0)) < 0.01:
         return False
     moving = steps[steps > 0]
-    both = np.diff(values)
     one_way = min(float((both > 0).mean()), float((both < 0).mean())) < 0.001
     return bool(
         not one_way  # a clock, a counter, an odometer
@@ -277,33 +260,21 @@ def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
 
 
 def _candidate(
-    one: Traffic, places: tuple[int, ...], mask: int, values: NDArray[np.float64], ticks: int,
-    several: bool,
-) -> SeenSignal:  # fmt: skip
-    index = np.minimum((one.t * TICK_RATE).astype(np.int64), ticks - 1)
-    count = np.bincount(index, minlength=ticks)
-    rows = np.flatnonzero(count)
-    means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
-    x = bridged(ticks, rows, means)
-    upper = f"data[{places[0]}]" if mask == 0xFF else f"(data[{places[0]}] & {mask})"
-    value = upper if len(places) == 1 else f"{upper} * 256 + data[{places[1]}]"
+    one: Traffic, places: tuple[int, ...], ticks: int, several: bool
+) -> SeenSignal | None:
+    """Return the field at these bytes, the upper one first."""
+    is_big = places == tuple(sorted(places))
+    start = 8 * places[0] + 7 if is_big else 8 * places[-1]
+    order: ByteOrder = "big_endian" if is_big else "little_endian"
+    signal = Signal(f"bytes_{'_'.join(map(str, places))}", start, 8 * len(places), order)
     number = one.can_id & CAN_EFF_MASK
-    signal = Signal(f"bytes_{'_'.join(map(str, places))}", 0, 8 * len(places))
+    message = Message(f"0x{number:X}", one.can_id, one.data.shape[1], {signal.name: signal})
+    upper, lower = (f"data[{place}]" for place in (places[0], places[-1]))
+    value = upper if len(places) == 1 else f"{upper} * 256 + {lower}"
     raw = {"id": number, "value": value}
     if one.can_id & CAN_EFF_FLAG and number < 0x800:
         raw["extended"] = True
-    return SeenSignal(
-        message=Message(f"0x{number:X}", one.can_id, 8, {signal.name: signal}),
-        signal=signal,
-        channel=one.channel,
-        x=x,
-        smooth=smooth(x),
-        cycle=float(np.median(np.diff(one.t))),
-        levels=(),
-        held=None,
-        unavailable=(),
-        least=float(values.min()),
-        largest=float(values.max()),
-        raw=raw,
-        own_channel=one.channel if several else None,
-    )
+    traffic = MessageTraffic(message, one.channel, one.t, one.data, one.length)
+    for found in candidates_of(traffic, ticks):
+        return replace(found, raw=raw, own_channel=one.channel if several else None)
+    return None

@@ -13,13 +13,12 @@ which of the speeds is the true speed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from imucald.config_check.motion import Motion, change_of, speed_ratio
-from imucald.config_check.relation import Relation, is_better, relation
-from imucald.config_check.response import response
+from imucald.config_check.relation import Relation, is_better, response
 from imucald.core.arrays import Array
 from imucald.discovery.candidates import MEASURED_BITS, SeenSignal
 from imucald.discovery.evidence import (
@@ -134,7 +133,6 @@ def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
     If two speeds differ only by chance, a speed with a name of a speed is first, then the speed
     with the shorter cycle. Signals without a unit are kept only if they explain most of the motion.
     """
-    fits = [f if mean is None else _in_wheels_unit(f, mean) for f in fits]
     fits = [f for f in fits if f.unit.is_stated or f.relation.explained >= SAME_MOTION]
 
     def rank(f: SpeedFit) -> tuple[bool, bool]:
@@ -149,21 +147,6 @@ def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
     ]
     equal.sort(key=lambda f: (hint("speed", f.candidate) is None, f.candidate.cycle))
     return equal + [f for f in fits if f not in equal]
-
-
-def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
-    """Return a speed without a unit, with the unit that makes it equal to the wheel speed."""
-    if fit.unit.is_stated:
-        return fit
-    found = relation(mean, fit.candidate.smooth)
-    if not found.low > 0.0:
-        return fit
-    low, high = (1.0 - ONE_UNIT) / found.gain, (1.0 + ONE_UNIT) / found.gain
-    unit = choose_unit("", "speed", low, high)
-    if unit is None:
-        return fit
-    as_wheels = replace(fit, unit=replace(unit, others=()))
-    return as_wheels if apart_from(as_wheels, mean) < ONE_UNIT else fit
 
 
 def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:

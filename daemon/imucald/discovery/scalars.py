@@ -14,6 +14,7 @@ import numpy as np
 
 from imucald.config_check.relation import Relation, is_better, relation
 from imucald.core.arrays import Array
+from imucald.core.default_vehicle import WHEELBASE
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import (
     GAINS,
@@ -40,9 +41,6 @@ from imucald.discovery.wheels import find_wheels
 STEERING_METRES = (15.0, 130.0)
 """Range of wheelbase times steering ratio [m]. The lower limit is half the value of a small car
 with a quick rack (2.4 m x 12). The upper limit is the value of a lorry (6 m x 20)."""
-OTHER_AXIS = "it is an axis of another accelerometer, which need not be an axis of the vehicle"
-WHEELBASE = 2.7
-"""Default wheelbase of the configuration [m]."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,9 @@ def choices_of_motion(
     longitudinal = find_scalar(LONGITUDINAL, change, free, shows_left)
     for choice in (lateral, longitudinal):
         if choice is not None and choice.sources[""].signal in sensors.other_axes:
-            choice.doubt = choice.doubt or OTHER_AXIS
+            choice.doubt = choice.doubt or (
+                "it is an axis of another accelerometer, which need not be an axis of the vehicle"
+            )
     return [wheels, steering, yaw_rate, lateral, longitudinal], vehicle
 
 
@@ -218,7 +218,6 @@ def find_scalar(
 
 
 def _ranked(matches: list[Match], quantity: ScalarQuantity) -> list[Match]:
-    """Sort matches: fitting units first, then stated units, then the strongest relation."""
     return sorted(
         matches,
         key=lambda m: (

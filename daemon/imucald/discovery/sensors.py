@@ -3,7 +3,7 @@ sensors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from imucald.config_check.gyro_axes import (
     AS_IT_IS,
@@ -48,6 +48,7 @@ from imucald.discovery.reference import (
     wheel_mean,
 )
 from imucald.discovery.triads import (
+    BY_PLACES,
     EARTH_FIELD,
     Triad,
     accelerometers,
@@ -61,18 +62,6 @@ from imucald.inputs.units import is_unit
 MAX_TRIADS = 6
 """Largest number of triads (three signals x, y, z) that are compared with every speed, if no unit
 shows which triad is the accelerometer."""
-GYRO_COUNTS = (
-    "the signal is in raw counts, since the database states no scale; the recording fits 'unit: {}'"
-)
-RAW_COUNTS = (
-    "the accelerometer is in raw counts, since the database states no scale; 1 g is "
-    "{size:.0f} counts: 'unit: g/{one:.6g}'"
-)
-ANOTHER_ONE = (
-    "{} has an accelerometer too: the accelerometer and the gyroscope must be of the sensor to "
-    "calibrate"
-)
-BY_PLACES = "the axes are in the order of their bits"
 
 
 class Sensors:
@@ -94,7 +83,8 @@ class Sensors:
         self.heading: HeadingFit | None = None
         self.contradiction = ""
         """Text about an accelerometer and a gyroscope that contradict each other; else empty."""
-        self._found: list[Choice | None] = []
+        self.choices: list[Choice | None] = []
+        """The choices, in the order of the configuration."""
         self._speeds: list[SpeedFit] = []
         triads = accelerometers(candidates)
         counts = [] if triads else in_raw_counts(candidates)
@@ -105,17 +95,13 @@ class Sensors:
             planar = find_planar(with_signs or candidates, self.wheels, self.taken)
             if planar is not None:
                 self.reference = planar.reference
-                self._found += planar.choices
+                self.choices += planar.choices
                 self.taken |= planar.taken
         if self.heading is None:
             self.heading = fit_heading(self.reference.motion, self._free())
 
     def _free(self) -> list[SeenSignal]:
         return [c for c in self.candidates if c.path not in self.taken]
-
-    def choices(self) -> Iterator[Choice | None]:
-        """Yield the choices, in the order of the configuration."""
-        yield from self._found
 
     def _set_accelerometer(self, triads: list[Triad]) -> None:
         stated = [t for t in triads if t.unit.is_stated]
@@ -127,7 +113,7 @@ class Sensors:
         reference = self.reference = of_accelerometer(best)
         self.taken |= {m.path for m in best.members}
         accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
-        self._found.append(accelerometer)
+        self.choices.append(accelerometer)
         speed = self._choose_speed()
         gyro = self._choose_gyroscope(reference)
         tilt = tilt_ratio(reference.motion)
@@ -137,21 +123,26 @@ class Sensors:
         self.heading = hold_against_heading(reference, accelerometer, heading)
         doubt_what_is_turned(accelerometer, gyro, self.heading)
         if rivals and not accelerometer.doubt:
-            accelerometer.doubt = ANOTHER_ONE.format(rivals[0].messages[0])
+            accelerometer.doubt = (
+                f"{rivals[0].messages[0]} has an accelerometer too: the accelerometer and "
+                "the gyroscope must be of the sensor to calibrate"
+            )
         if best.unit.is_counts:
             one = GRAVITY / best.unit.factor
-            accelerometer.doubt = RAW_COUNTS.format(size=one * best.size / GRAVITY, one=one)
+            accelerometer.doubt = (
+                "the accelerometer is in raw counts, since the database states no scale; 1 g is "
+                f"{one * best.size / GRAVITY:.0f} counts: 'unit: g/{one:.6g}'"
+            )
         elif not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = (
                 "the three signals form a vector of 1 g, but no unit "
                 "is stated and no motion confirms them"
             )
-        self._found += [gyro, self._magnetometer(), speed]
+        self.choices += [gyro, self._magnetometer(), speed]
 
     def _best_of(self, triads: list[Triad]) -> Triad:
-        """Return the accelerometer that fits a gyroscope of the bus best. Without a gyroscope,
-        return the accelerometer that shows the changes of speed best.
-        """
+        """Return the accelerometer that fits a gyroscope of the bus best; without a gyroscope, the
+        one that shows the changes of speed best."""
         explained = [self._speed_for(t) for t in triads]
         showing = [t for t, e in zip(triads, explained, strict=True) if e >= SAME_MOTION]
         gyros = gyroscopes(self.candidates)
@@ -166,9 +157,7 @@ class Sensors:
         return max(showing, key=fit)
 
     def _speed_for(self, triad: Triad) -> float:
-        """Return the quality of the best fit between a speed and a triad (three signals x, y, z),
-        and store all fits.
-        """
+        """Return the quality of the best fit between a speed and a triad, and store all fits."""
         motion = of_accelerometer(triad).motion
         members = {m.path for m in triad.members}
         fits = [
@@ -346,7 +335,10 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
         if fitting is None and first.signal.scale == 1.0 and not is_unit(first.unit):
             counts = in_counts("angular_rate", low, high)
             others = f" (and {', '.join(counts.others)})" if counts.others else ""
-            return counts, GYRO_COUNTS.format(counts.name) + others
+            return counts, (
+                "the signal is in raw counts, since the database states no scale; the recording "
+                f"fits 'unit: {counts.name}'{others}"
+            )
         return (
             (unit, "its values are too large or too small for every unit")
             if fitting is None
@@ -357,9 +349,8 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
 
 
 def _open_question(triad: Triad, fit: GyroFit) -> str:
-    """Return a text about what the likelihoods do not decide (axes or signs); empty if they decide
-    everything.
-    """
+    """Return what the likelihoods do not decide (axes or signs); empty if they decide
+    everything."""
     if not fit.is_believed:
         return "the recording has no turns or slopes that confirm it"
     if fit.order[1] < 0 and not fit.is_decided([o for o in RIGHT_HANDED if o[1] > 0]):

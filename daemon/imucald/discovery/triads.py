@@ -21,8 +21,6 @@ from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, in
 from imucald.discovery.names import axes_by_name
 from imucald.inputs.units import find_unit, is_unit
 
-LEAST_COUNTS = 50.0
-"""Smallest number of counts for 1 g. Every sensor has more counts for 1 g than this number."""
 MAX_TOGETHER = 12
 """Largest number of similar signals in a message of which any three are tested. With more signals,
 only adjacent signals are tested."""
@@ -36,6 +34,7 @@ manoeuvres are weaker."""
 CALM_PART = 0.1
 """Share of a drive in which even a racing driver neither brakes nor turns. In this share of a
 drive, the magnitude of the smoothed specific force is 1 g or slightly more."""
+BY_PLACES = "the axes are in the order of their bits"
 EARTH_FIELD = (22e-6, 67e-6)
 """Range of the earth's magnetic field [T] (World Magnetic Model)."""
 
@@ -97,7 +96,7 @@ def in_raw_counts(candidates: Sequence[SeenSignal]) -> list[Triad]:
         ordered, named = in_order(three)
         _, middle, spread = _sizes(ordered)
         is_integer = all(m.signal.scale == 1.0 and not is_unit(m.unit) for m in ordered)
-        if named and is_integer and spread < NORM_SPREAD and middle > LEAST_COUNTS:
+        if named and is_integer and spread < NORM_SPREAD:
             sizes = ((1.0 + s * SCALE_AND_OFFSET) * GRAVITY / middle for s in (-1.0, 1.0))
             unit = in_counts("acceleration", *sizes)
             found.append(Triad(ordered, unit, named, middle * unit.factor, spread))
@@ -113,11 +112,8 @@ def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, int, float]:
 
 
 def _sizes(three: tuple[SeenSignal, ...]) -> tuple[Array, float, float]:
-    """Return the sizes (n,) of a vector in the unit of its signals, the median of the sizes, and
-    their relative spread.
-
-    If the size is unknown, the median is 0.0 and the spread is infinite.
-    """
+    """Return the sizes (n,) of a vector in the unit of its signals, their median, and their
+    relative spread; 0.0 and infinite if the size is unknown."""
     size = np.linalg.norm(np.column_stack([m.smooth for m in three]), axis=1)
     size = size[np.isfinite(size)]
     middle = float(np.median(size)) if len(size) else 0.0
@@ -199,9 +195,7 @@ def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
         if not ordered[0].states("magnetic_field"):
             continue
         unit = _stated_or_first(ordered[0], "magnetic_field")
-        size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1)
-        middle = float(np.nanmedian(size)) * unit.factor if np.isfinite(size).any() else math.nan
-        found.append(Triad(ordered, unit, named, middle))
+        found.append(Triad(ordered, unit, named, _sizes(ordered)[1] * unit.factor))
     return _without_overlap(found)
 
 
@@ -297,9 +291,7 @@ def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:
-    """Return the triads (three signals x, y, z), without the triads that share a signal with a
-    better triad.
-    """
+    """Return the triads without those that share a signal with a better one."""
     used: set[str] = set()
     kept = []
     for triad in found:

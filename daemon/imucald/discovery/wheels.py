@@ -20,12 +20,6 @@ SAME_SPEED = 0.1
 SIDE_BY_SIDE = 0.98
 """Smallest correlation between the wheel speeds in a drive. Wheel speeds of one vehicle differ only
 in bends and by slip."""
-HALF_SQUARE = (1.5, 12.0)
-"""Range of half of the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces the measured
-value."""
-MANY = 24
-"""Largest number of similar signals for which pairs from two different messages are tested. With
-more similar signals, only messages with exactly four of them are used."""
 
 IN_ORDER = "right wheels are faster in left turns"
 BY_TURNS = "left and right follow from the yaw rate"
@@ -50,10 +44,9 @@ def wheel_sets(candidates: Sequence[SeenSignal]) -> Iterator[tuple[SeenSignal, .
             by_message.setdefault(c.message.name, []).append(c)
         fours = [m for m in by_message.values() if len(m) == 4]
         twos = [m for m in by_message.values() if len(m) == 2]
-        if len(kind) <= MANY:
-            fours += [a + b for a, b in itertools.combinations(twos, 2)]
-            if len(kind) == 4 and not fours:
-                fours = [kind]
+        fours += [a + b for a, b in itertools.combinations(twos, 2)]
+        if len(kind) == 4 and not fours:
+            fours = [kind]
         for four in fours:
             if _roll_together(four):
                 yield tuple(four)
@@ -96,7 +89,10 @@ def find_wheels(
         wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
     }
     words = f"four similar speeds; {text}"
-    return Choice("wheel_speeds", sources, words, doubt or unsure), _metres(track)
+    choice = Choice("wheel_speeds", sources, words, doubt or unsure)
+    if track is None or not track.is_believed or track.sign < 0 or track.explained <= 0.8:
+        return choice, None
+    return choice, track.low if 0.8 < track.low < 3.0 else None
 
 
 def _by_turns(
@@ -130,9 +126,8 @@ def _by_turns(
         The path of a front wheel is longer by half of the square of wheelbase times curvature.
         """
         found = relation(squared, less((table[:, a] - table[:, b]) / v, known))
-        low, high = HALF_SQUARE
-        sure = found.is_believed_of(2) and low < found.low < high
-        return (b, a, sure) if found.sign < 0 else (a, b, sure)
+        first, second = (b, a) if found.sign < 0 else (a, b)
+        return first, second, found.is_believed_of(2)
 
     front_left, rear_left, sure_left = front_first(*left)
     front_right, rear_right, sure_right = front_first(*right)
@@ -147,16 +142,9 @@ def _track(
     four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, motion: Motion
 ) -> Relation | None:
     """Return the relation between the yaw rate and the speed difference of right and left wheels,
-    both divided by the speed. The gain of this relation is the track.
-    """
+    both divided by the speed. Its gain is the track."""
     if motion.turn is None:
         return None
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)
     v = moving(0.25 * (fl + fr + rl + rr))
     return relation(motion.turn / v, right_less_left(fl, fr, rl, rr) / v)
-
-
-def _metres(track: Relation | None) -> float | None:
-    if track is None or not track.is_believed or track.sign < 0:
-        return None
-    return track.low if 0.8 < track.low < 3.0 and track.explained > 0.8 else None

@@ -10,15 +10,17 @@ Ito). Light or dark mode follows the reader's setting.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
 
 from imucald.core.arrays import Array
 from imucald.core.orientation_words import AXES
-from imucald.core.rotations import Matrix3
+from imucald.core.rotations import Matrix3, rotation_from_quaternion
+from imucald.mount.mount_words import half_width
 
 Point = tuple[float, float]
 
@@ -125,6 +127,14 @@ def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
     ]
 
 
+def known_rotation(mount: Mapping[str, Any]) -> Matrix3 | None:
+    """Return the rotation of a mount, as in docs/json.md. None if yaw is unknown, because a drawing
+    must not show an unknown angle."""
+    q = mount["quaternion_wxyz"]
+    is_known = q is not None and half_width(mount["std_deg"]["z"]) is not None
+    return rotation_from_quaternion(q) if is_known else None
+
+
 def axes_drawing() -> str:
     """Return a drawing of the vehicle's axes, and of the positive directions of roll, pitch and
     yaw, as SVG text."""
@@ -138,7 +148,6 @@ def axes_drawing() -> str:
 
 
 def _sheet(views: Sequence[str], lines: Sequence[str], title: str) -> str:
-    """Return an SVG with the views side by side and text lines below."""
     width = VIEW_WIDTH * len(views)
     wrapped = [part for line in lines for part in _wrapped(line, 118)]
     height = VIEW_HEIGHT + 20.0 * len(wrapped) + (8.0 if wrapped else 0.0)

@@ -23,9 +23,6 @@ HUMAN_UNITS: Mapping[str, tuple[float, str]] = {
     "": (100.0, "%"),
 }
 """For each unit of the model file: factor and name of a familiar unit."""
-PLAIN_KEYS = ("chassis.steering_ratio",)
-"""Keys of numbers without a unit that are not shown in per cent."""
-RATES = ("speed.delay_rate",)
 TIMES = ("mount.shifts.t_s",)
 """Keys of times within a drive [s]. Other times are delays and are shown in milliseconds."""
 LONG_S = 1.0
@@ -84,12 +81,11 @@ def size_text(key: str, p: Estimated) -> str:
 
 
 def _familiar(key: str, p: Estimated) -> tuple[float, str]:
-    """Return the factor to a familiar unit, and the name of this unit."""
-    if key in PLAIN_KEYS:
+    if key == "chassis.steering_ratio":  # not in per cent
         return 1.0, ""
     if key in TIMES or (p.unit == "s" and abs(p.value) >= LONG_S):
         return 1.0, "s"
-    if key in RATES:
+    if key == "speed.delay_rate":
         return 1e6, "ppm"
     return HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
 

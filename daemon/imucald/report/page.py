@@ -25,13 +25,10 @@ LIBRARIES = ("jinja2", "matplotlib")
 
 MAX_PICTURED = 14
 """Largest number of signals with pictures. The limit keeps the page small enough for an e-mail."""
-SEPARATORS = (".", "_")
-"""Characters after which a long key may be broken."""
 MAX_ROWS = 200
 """Largest number of rows in a table or list."""
 PLACE = '<nav class="contents" aria-label="Contents"></nav>'
 """Placeholder for the contents list in a template."""
-HEADING = re.compile(r"<h2>(.*?)</h2>", re.S)
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def with_contents(body: str) -> str:
         links.append(f'<li><a href="#{name}">{title}</a></li>')
         return f'<h2 id="{name}">{title}</h2>'
 
-    text = HEADING.sub(anchored, body)
+    text = re.sub(r"<h2>(.*?)</h2>", anchored, body, flags=re.S)
     listed = "\n".join(links)
     filled = PLACE.replace("></nav>", f">\n<ul>\n{listed}\n</ul>\n</nav>")
     return text.replace(PLACE, filled, 1)
@@ -139,7 +136,7 @@ def _breakable(key: str) -> str:
     from markupsafe import Markup, escape  # noqa: PLC0415 - an extra
 
     return Markup("").join(
-        escape(part) + (Markup("<wbr>") if part in SEPARATORS else "")
+        escape(part) + (Markup("<wbr>") if part in (".", "_") else "")
         for part in re.split(r"([._])", key)
     )
 
@@ -149,7 +146,6 @@ def _size(x: float) -> float:
 
 
 def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Return title, value and meaning of each number in the summary of the diagnosis."""
     figures = []
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
     if rows and diagnosis.causes and diagnosis.gain.was_fitted:
@@ -167,7 +163,6 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the rows of the table of signals, with the widths of their bars in per cent."""
     rows = []
     for row, s in zip(words.signal_rows(diagnosis), diagnosis.signals.values(), strict=True):
         sizes = {"before": s.rms_before, "after": s.rms_after, "floor": s.noise_floor}
@@ -183,9 +178,8 @@ def _width(share: float) -> str:
 
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the pictures of signals, the most important first: signals with a cause or an
-    unexplained pattern come before other signals. Within both groups, signals are sorted by the
-    ratio of residual to noise."""
+    """Return the pictures of signals: those with a cause or an unexplained pattern first, then by
+    the ratio of residual to noise."""
     from imucald.report import plots as draw  # noqa: PLC0415 - loads matplotlib
 
     touched = {name for cause in diagnosis.causes for name in cause.signals}

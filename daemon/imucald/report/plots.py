@@ -11,27 +11,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from imucald.core.arrays import Array
 from imucald.diagnosis.result import SignalPicture
 from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
 from imucald.report.numbers import unit_text
-from imucald.report.svg_figures import drawn, without_name_space
+from imucald.report.svg_figures import drawn, legend, without_name_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
     Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
 """Colours: vermilion, blue, nearly black, grey. These colours are distinguishable with any colour
 blindness (Okabe and Ito)."""
 
-TIME_BINS = 420
-SPECTRUM_BINS = 160
-DRIVER_BINS = 24
-DRIVER_LEAST = 12
-SEGMENT_S = 45.0
 MINUTES_FROM_S = 300.0
 """Time axes above this length are in minutes [s]."""
 DECADES = 6
@@ -75,8 +69,6 @@ def _picture(
 
 @dataclass(frozen=True)
 class _Curve:
-    """The prediction of one model, and its line style."""
-
     name: str
     predicted: Array
     density: Array
@@ -104,7 +96,7 @@ def is_extended(p: SignalPicture) -> bool:
 def _draw_time(axes: Axes, p: SignalPicture) -> None:
     factor = _time_axis(axes, p.t)
     for order, curve in enumerate(_curves(p), 1):
-        band = envelope(p.t, p.measured - curve.predicted, TIME_BINS)
+        band = envelope(p.t, p.measured - curve.predicted, 420)
         t, colour = factor * band.t, curve.colour
         axes.fill_between(t, band.low, band.high, color=colour, alpha=curve.shade, lw=0,
                           zorder=order)  # fmt: skip
@@ -113,12 +105,12 @@ def _draw_time(axes: Axes, p: SignalPicture) -> None:
     _limit(axes, [p.measured - curve.predicted for curve in _curves(p)])
     axes.margins(x=0.005)
     axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     before, after = p.measured - p.predicted_before, p.measured - p.predicted_after
-    rows = clearest_segment(p.t, before, after, SEGMENT_S)
+    rows = clearest_segment(p.t, before, after, 45.0)
     t = p.t[rows]
     axes.plot(t, p.measured[rows], color=MEASURED, lw=1.0, label="measured")
     known = np.isfinite(p.measured[rows])
@@ -130,24 +122,24 @@ def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(_clock_text))
     axes.set_xlabel("time [min:s]")
     axes.set_ylabel(f"[{unit_text(p.unit)}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _draw_driver(axes: Axes, p: SignalPicture) -> None:
     for curve in _curves(p):
-        line = trend(p.driver, p.measured - curve.predicted, DRIVER_BINS, DRIVER_LEAST)
+        line = trend(p.driver, p.measured - curve.predicted, 24, 12)
         axes.fill_between(line.x, line.low, line.high, color=curve.colour, alpha=0.2, lw=0)
         axes.plot(line.x, line.mean, color=curve.colour, lw=1.2, marker=curve.mark, ms=3,
                   label=curve.name)  # fmt: skip
     axes.axhline(0.0, color=FLOOR, lw=0.7)
     axes.set_xlabel(unit_text(p.driver_name))
     axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
-    _legend(axes)
+    legend(axes)
 
 
 def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
     for curve in _curves(p):
-        line = log_bins(p.frequency, curve.density, SPECTRUM_BINS)
+        line = log_bins(p.frequency, curve.density, 160)
         axes.plot(*line, color=curve.colour, lw=1.2, ls=curve.dashes,
                   label=curve.name or "residual")  # fmt: skip
     if any(len(line.get_xdata()) for line in axes.lines):  # type: ignore[arg-type]
@@ -161,7 +153,7 @@ def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
                 axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"density [({unit_text(p.unit)})²/Hz]")
-    _legend(axes)
+    legend(axes)
 
 
 def _time_axis(axes: Axes, t: Array) -> float:
@@ -211,11 +203,3 @@ def _clock_text(seconds: float, _: object) -> str:
         if rest % 1 == 0
         else f"{sign}{minutes:.0f}:{rest:04.1f}"
     )
-
-
-def _legend(axes: Axes) -> None:
-    """Draw the legend above the axes, in one row. A single curve without a name gets no legend."""
-    lines, _ = axes.get_legend_handles_labels()
-    if lines:
-        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines),
-                    borderaxespad=0.1, handlelength=2.2, columnspacing=1.4)  # fmt: skip

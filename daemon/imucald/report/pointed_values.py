@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 POINTS_PER_INCH = 72.0
 FIELD_PT = 7.0
 """Width of an invisible field with one title [pt]: about the accuracy of pointing by hand."""
-LABEL = re.compile(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", re.S)
-CLOCK = "min:s"
-"""Unit in the label of a time axis whose tick texts are minutes and seconds."""
 
 
 def pointed_values(figure: Figure) -> str:
@@ -134,7 +131,6 @@ def _between(axis: Axis, low: float, high: float) -> str:
 
 
 def _label(drawn: Artist) -> str:
-    """Return the legend label of a drawn object; "" if it has none."""
     label = str(drawn.get_label())
     return "" if label.startswith("_") else label
 
@@ -198,16 +194,15 @@ def _where(axes: Axes, x: float) -> str:
     together = axes.get_shared_x_axes().get_siblings(axes)
     axis = next((a.xaxis for a in together if a.get_xlabel()), axes.xaxis)
     name, unit = _named(axis)
-    if unit == CLOCK:
+    if unit == "min:s":  # its tick texts are minutes and seconds
         return f"{name} {axis.get_major_formatter()(x, None)}"
     return f"{name} {number(x)} {unit}".strip()
 
 
 def _named(axis: Axis) -> tuple[str, str]:
-    """Return name and unit of an axis, from its label `name [unit]`."""
     return _parts(axis.get_label_text())
 
 
 def _parts(label: str) -> tuple[str, str]:
-    match = LABEL.fullmatch(label)
+    match = re.fullmatch(r"\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*", label, re.S)
     return (match["name"], match["unit"] or "") if match else (label, "")

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from imucald.core.angles import DEG_PER_RAD
-from imucald.core.text import clock, duration, when_reached
-from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.core.text import clock, duration, reached_states
+from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import (
     CONVENTION,
     EVIDENCE_KINDS,
@@ -26,7 +25,7 @@ from imucald.mount.mount_words import (
     reasons,
     sent_words,
 )
-from imucald.report.drawing import STYLE, view_drawings
+from imucald.report.drawing import STYLE, known_rotation, view_drawings
 from imucald.report.drive_history import DriveHistory, DriveMotion
 from imucald.report.page import About, environment, require_libraries
 from imucald.runtime.drive_events import (
@@ -37,7 +36,6 @@ from imucald.runtime.drive_events import (
     state_changes,
 )
 
-SHOWN_PROBLEMS = 20
 SNAPSHOT_S = 1.0
 """Period of snapshots in the history [s]."""
 
@@ -56,14 +54,10 @@ def replay_page(
     Raises ImucaldError if a library is missing.
     """
     require_libraries()
-    from imucald.report import motion_plots as beside  # noqa: PLC0415 - loads matplotlib
     from imucald.report import replay_plots as draw  # noqa: PLC0415 - loads matplotlib
 
     motion = history.motion()
-    events = [
-        draw.Numbered(i, event) for i, event in enumerate(drive_events(history, result), start=1)
-    ]
-    last = history.moments[-1].estimate if history.moments else None
+    events = list(enumerate(drive_events(history, result), start=1))
     rows = np.isfinite(motion.corrected[:, 0])
     axes = (0, 1) if rows.any() else ()
     missing = list(reasons(result["waiting_for"]))
@@ -77,7 +71,7 @@ def replay_page(
             result=result,
             angles=angles_line(result["mount"]) or "The mount is not known",
             headline=_headline(result, history.lead),
-            moves=[(clock(e.event.t), e.event.text) for e in events if e.event.kind == "moved"],
+            moves=[(clock(e.t), e.text) for _, e in events if e.kind == "moved"],
             lead=duration(history.lead) if history.lead >= SNAPSHOT_S else "",
             meaning=STATE_WORDS.get(result["state"], ""),
             waiting=[(names, text) for names, text in missing if not is_trouble(text)],
@@ -85,26 +79,24 @@ def replay_page(
             causes=causes,
             left_out=left_out_words(result["details"]),
             drawing_style=STYLE,
-            views=view_drawings(_rotation(last)),
+            views=view_drawings(known_rotation(result["mount"])),
             mount=[(angle, *angle_cells(result["mount"], angle)) for angle in ANGLES],
             turns=_axis_rows(result["mount"]),
             quaternion=_quaternion(result["mount"]),
             sent=sent_words(result.get("correction")),
             convention=CONVENTION,
             mount_picture=draw.mount_picture(history, events) if history.moments else "",
-            events=[(e.number, clock(e.event.t), e.event.kind, e.event.text) for e in events],
-            stretch=beside.stretch_picture(motion) if rows.any() else "",
-            scatters=[beside.scatter_picture(motion, axis) for axis in (0, 1)]
-            if rows.any()
-            else [],
+            events=[(number, clock(e.t), e.kind, e.text) for number, e in events],
+            stretch=draw.stretch_picture(motion) if rows.any() else "",
+            scatters=[draw.scatter_picture(motion, axis) for axis in (0, 1)] if rows.any() else [],
             fits=_fits(motion),
-            maps=[beside.residual_map(motion, axis) for axis in axes],
+            maps=[draw.residual_map(motion, axis) for axis in axes],
             evidence={angle: svg for angle, svg in evidence.items() if svg},
             sources=_sources(result["details"]),
             arrivals=draw.arrivals_picture(history),
             gaps=[clock(t) for t in history.gaps],
             rejected=sorted(result["frames"]["rejected"].items(), key=lambda row: -row[1]),
-            problems=problems[:SHOWN_PROBLEMS],
+            problems=problems[:20],
         )
     )
 
@@ -127,22 +119,9 @@ def _at_its_time(event: Event, history: DriveHistory, result: Mapping[str, Any])
 
 
 def _headline(result: Mapping[str, Any], lead: float) -> str:
-    reached = [
-        when_reached(name, result[key] - lead)
-        for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
-        if result[key] is not None
-    ]
+    reached = reached_states(result, lead)
     state = f"{result['state'][:1].upper()}{result['state'][1:]} at the end"
     return f"{state}: {', '.join(reached) or 'never usable'}"
-
-
-def _rotation(estimate: MountEstimate | None) -> Any:
-    """Return the rotation of the mount. None if yaw is unknown, because a drawing must not show an
-    unknown angle."""
-    if estimate is None or estimate.std is None:
-        return None
-    known = half_width(estimate.std[2] * DEG_PER_RAD) is not None
-    return estimate.R_vehicle_from_sensor if known else None
 
 
 def _axis_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:

@@ -1,4 +1,5 @@
-"""Figures of matplotlib as short SVG text, with the same layout on every machine."""
+"""Figures of matplotlib as short SVG text, with the same layout on every machine; and colours that
+follow the page's light or dark mode."""
 
 from __future__ import annotations
 
@@ -6,27 +7,24 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MultipleLocator
 
+from imucald.core.text import clock
+from imucald.mount.estimate import MountState
 from imucald.report.pointed_values import pointed_values
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LAYOUT_FONT = "DejaVu Sans"
 """Font for the layout of pictures. The font is part of matplotlib, so the layout is the same on
 every machine. DejaVu Sans is a wide font, so texts in other fonts fit too."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
-METADATA = ("Date", "Creator", "Format", "Type")
-PATH = re.compile(r'( d=")([^"]*)"')
-PLACE = re.compile(r'(?<= )([xy])="([-\d.]+)"')
-NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
-NOT_TURNED = re.compile(r' transform="rotate\(-?0 [^)]*\)"')
-USED_ID = re.compile(r'(?:href="#|url\(#)([^")]*)')
-SOME_ID = re.compile(r' id="([^"]*)"')
-BETWEEN_TAGS = re.compile(r"\n\s*<")
-MARKERS = re.compile(r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}')
 LONG_LINE = 40
 """A path with at least this number of commands is a curve of data, not a marker or letter."""
 
@@ -68,7 +66,8 @@ def drawn(
         FigureCanvasSVG(figure)
         draw(figure)
         out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(out, format="svg", metadata=nothing)
         values = pointed_values(figure)
     return _shortened(out.getvalue()).replace("</svg>", f"{values}</svg>")
 
@@ -78,18 +77,21 @@ def _shortened(svg: str) -> str:
     picture, texts use the fonts of the reader's browser.
     """
     svg = svg[svg.index("<svg") :].replace(f"'{LAYOUT_FONT}'", READERS_FONTS)
-    svg = PATH.sub(lambda m: f'{m[1]}{short_path(m[2])}"', svg)
-    svg = PLACE.sub(lambda m: f'{m[1]}="{_number(m[2], 1)}"', NOT_TURNED.sub("", svg))
-    used = set(USED_ID.findall(svg))  # ids of several pictures on one page would collide
-    svg = SOME_ID.sub(lambda m: m[0] if m[1] in used else "", svg)
-    svg = BETWEEN_TAGS.sub("\n<", svg)
+    svg = re.sub(r'( d=")([^"]*)"', lambda m: f'{m[1]}{short_path(m[2])}"', svg)
+    svg = re.sub(r' transform="rotate\(-?0 [^)]*\)"', "", svg)
+    svg = re.sub(r'(?<= )([xy])="([-\d.]+)"', lambda m: f'{m[1]}="{_number(m[2], 1)}"', svg)
+    # ids of several pictures on one page would collide
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]*)', svg))
+    svg = re.sub(r' id="([^"]*)"', lambda m: m[0] if m[1] in used else "", svg)
+    svg = re.sub(r"\n\s*<", "\n<", svg)
     # Markers in a row that look the same have one style.
-    return MARKERS.sub(lambda m: f"<g {m[1]}>\n{m[0].replace(' ' + m[1], '')}</g>\n", svg)
+    markers = r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}'
+    return re.sub(markers, lambda m: f"<g {m[1]}>\n{m[0].replace(' ' + m[1], '')}</g>\n", svg)
 
 
 def without_name_space(svg: str) -> str:
     """Return the SVG text without its name space, for use within HTML."""
-    return NAME_SPACE.sub("", svg)
+    return re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg)
 
 
 def short_path(path: str) -> str:
@@ -117,3 +119,52 @@ def _number(text: str, digits: int) -> str:
     """Return a number as text with at most `digits` decimals."""
     short = f"{float(text):.{digits}f}".rstrip("0").rstrip(".")
     return "0" if short in {"-0", ""} else short
+
+
+INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
+STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
+"""Placeholder colours that are used while a figure is drawn. `themed` replaces them by the page's
+colours."""
+THEME: Mapping[str, str] = {
+    INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
+    TRUTH: "--truth", BAD: "--bad",
+    **{colour: f"--{state.name.lower()}" for state, colour in STATE_COLOURS.items()},
+}  # fmt: skip
+THEMED: dict[Any, Any] = {
+    "axes.edgecolor": SOFT, "axes.labelcolor": INK, "xtick.color": SOFT, "ytick.color": SOFT,
+    "text.color": INK, "grid.color": GRID, "figure.facecolor": "none", "axes.facecolor": "none",
+    "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
+}  # fmt: skip
+NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
+"""Possible distances between the ticks of a time axis [s]."""
+TICKS = 9
+
+
+def time_axis(axes: Axes, duration: float) -> None:
+    """Label an axis of stream time [s]."""
+    axes.set_xlim(0.0, duration)
+    axes.xaxis.set_major_formatter(FuncFormatter(clock_text))
+    step = next((s for s in NICE_S if duration <= TICKS * s), NICE_S[-1])
+    axes.xaxis.set_major_locator(MultipleLocator(step))
+    axes.set_xlabel("time [min:s]")
+
+
+def clock_text(seconds: float, _: object) -> str:
+    """Return a time as text, such as `4:02`. The function is a matplotlib formatter."""
+    return clock(seconds)
+
+
+def legend(axes: Axes) -> None:
+    """Draw the legend above the axes, in rows. A single curve without a name gets no legend."""
+    if not axes.get_legend_handles_labels()[1]:
+        return
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
+                handlelength=1.8, columnspacing=1.2)  # fmt: skip
+
+
+def themed(svg: str) -> str:
+    """Replace placeholder colours by the page's colours, which depend on light or dark mode."""
+    svg = without_name_space(svg)
+    for colour, name in THEME.items():
+        svg = svg.replace(colour, f"var({name})")
+    return svg

@@ -177,7 +177,6 @@ def verdict(diagnosis: Diagnosis) -> Words:
 
 
 def _found_words(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Return the headline and the explanation of the verdict."""
     titles = [with_size(cause) for cause in diagnosis.causes]
     tail = _likely(diagnosis) + _incomplete(diagnosis)
     if diagnosis.verdict == "found":
@@ -299,12 +298,11 @@ def _after_unknown(diagnosis: Diagnosis) -> str:
         )
     return (
         f"Look at {_where(diagnosis) or 'the signals'} in the pictures of the report. If the "
-        "sensor is loose, fasten it. Else the list of causes lacks this one."
+        "sensor is loose, fasten it. Otherwise the cause is one that imucald does not know."
     )
 
 
 def _use_of_file(diagnosis: Diagnosis) -> str:
-    """Return whether the user should use the extended model file, as a sentence."""
     use, why = advice(diagnosis)
     if use == UNCHANGED:
         signals = dict.fromkeys(n for cause in diagnosis.causes for n in cause.signals)

@@ -85,13 +85,22 @@ def _foreign(path: Path | None, why: str = "") -> LinkError:
     )
 
 
+class NotRunningError(LinkError):
+    """No daemon listens."""
+
+    exit_status = 3
+    """The number that `systemctl is-active` and the command `status` of init scripts use."""
+
+
 class BusyError(LinkError):
     """A daemon listens on the socket but did not answer in time."""
 
+    exit_status = 8
+
 
 def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = True) -> str:
-    """Send a request to a running daemon, and return the answer. Raises LinkError with the remedy
-    if no daemon listens on the socket. Raises BusyError if a daemon listens but does not answer.
+    """Send a request to a running daemon, and return the answer. Raises NotRunningError with the
+    remedy if no daemon listens on the socket, and BusyError if a daemon does not answer.
 
     is_repeatable: send the request again if the daemon refused the connection, until `timeout` [s].
     """
@@ -106,7 +115,7 @@ def ask(path: Path, request: str, timeout: float = 3.0, is_repeatable: bool = Tr
             reason = error.strerror or str(error)
             if isinstance(error, BlockingIOError):
                 raise _busy(path) from None
-            raise LinkError(f"{path}: {reason}. Is the daemon running?") from None
+            raise NotRunningError(f"{path}: {reason}. Is the daemon running?") from None
         if answer:
             return answer.decode("utf-8", "replace")
         if not is_repeatable or time.monotonic() > end:

@@ -18,7 +18,7 @@ from imucald.can.dbc.message import Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, load_config
-from imucald.config.example import example_path
+from imucald.config.root import example_path
 from imucald.core.errors import ConfigError
 from imucald.core.samples import direction_at
 from imucald.inputs.conversion import Conversion

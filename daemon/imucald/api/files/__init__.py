@@ -1,5 +1,5 @@
 """Results as files: `written` writes the tables of a drive, `reading` opens the files again.
 
-Each format has its own module: `parquet`, `csv_text`, `mf4`, `mcap_log`. All formats are written in
+The formats: `arrow_files` (Parquet, CSV), `mf4`, `mcap_log`. All formats are written in
 pieces and in bounded memory. A file has a temporary name until it is complete.
 """

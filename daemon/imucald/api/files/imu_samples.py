@@ -24,8 +24,6 @@ a whole drive."""
 _FURTHEST_S = 0.05
 """Largest time difference [s] between a force and its rate: half a period of 10 Hz."""
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
-_FULL = (0, 1, 2, 1, 3, 4, 2, 4, 5)
-"""Indices into the upper triangle that give the full 3 x 3 matrix, row by row."""
 _SECOND_DIFFERENCE = 6.0
 """Variance of x[i-1] - 2 x[i] + x[i+1] divided by the variance of x (white noise)."""
 
@@ -47,7 +45,8 @@ class ImuSamples(NamedTuple):
 def mounts_of(history: Columns) -> Array:
     """Return time [s] and covariance [rad^2] of the history rows with a known mount, (N, 10)."""
     entries = [history[f"cov_{name}_deg2"] * RAD_PER_DEG**2 for name in _UPPER]
-    found = np.stack([history["t_s"], *(entries[i] for i in _FULL)], axis=1)
+    rows = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # of the full matrix, by row
+    found = np.stack([history["t_s"], *(entries[i] for i in rows)], axis=1)
     return _complete(found)
 
 

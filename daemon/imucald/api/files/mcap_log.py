@@ -43,7 +43,6 @@ _LATCHED = """- history: 1
 """
 """Quality of service in the notation of rosbag2: durability transient_local. Without this quality
 of service, no tf2 listener accepts a static transform."""
-_INFO = 20
 _NOT_MEASURED = np.array([-1.0] + [0.0] * 8)
 
 
@@ -125,7 +124,7 @@ class McapTables:
         make, no_place = self._store.types[of], ("", "", 0)
         for us, kind, text in zip(rows["time"], rows["kind"], rows["text"], strict=True):
             stamp = self._store.stamp(int(us))
-            message = make(stamp, _INFO, "imucald", f"{kind}: {text}", *no_place)
+            message = make(stamp, 20, "imucald", f"{kind}: {text}", *no_place)
             self._put("/rosout", int(us), of, message)
 
     def _put_imu(self, topic: str, frame: str, samples: ImuSamples) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from imucald.api.columns import Columns
 from imucald.api.configuration import PathLike
 from imucald.api.drive import DriveResult, drive_from_plain
-from imucald.api.files import csv_text, mcap_log, mf4, parquet
+from imucald.api.files import arrow_files, mcap_log, mf4
 from imucald.api.files.table_file import Tables, tables_of
 from imucald.api.files.written import format_of
 from imucald.core.errors import ImucaldError
@@ -48,11 +48,12 @@ def _opened(file: Path) -> tuple[dict[str, Any], Path, Reader]:
         return mcap_log.read_about(file), file, mcap_log.read_tables
     if ending == ".parquet":
         one = file if file.exists() else _beside(file)
-        return parquet.read_about(one), file.parent, parquet.read_tables
+        return arrow_files.parquet_about(one), file.parent, arrow_files.parquet_tables
     for stem in (file.stem, file.stem.rpartition(".")[0]):
         result = file.with_name(f"{stem}.result.json")
         if stem and result.exists():
-            return json.loads(result.read_text(encoding="utf-8")), file.parent, csv_text.read_tables
+            about = json.loads(result.read_text(encoding="utf-8"))
+            return about, file.parent, arrow_files.csv_tables
     raise ImucaldError(f"{file.stem}.result.json, written together with it, is missing")
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -17,8 +17,6 @@ from imucald.core.errors import ImucaldError
 VERSION = 1
 """Version of the description of the tables in a file. New keys may be added to it."""
 UNFINISHED = ".unfinished"
-VEHICLE_AXES = "vehicle: x forward, y left, z up (ISO 8855)"
-SENSOR_AXES = "sensor"
 
 Tables = Mapping[str, tuple[TableColumn, ...]]
 """The columns of each table, by the table's name."""
@@ -48,7 +46,7 @@ class TableWriter(Protocol):
 
 def axes_of(table: str) -> str:
     """Return the axes of the vectors in a table."""
-    return SENSOR_AXES if table.startswith(RAW) else VEHICLE_AXES
+    return "sensor" if table.startswith(RAW) else "vehicle: x forward, y left, z up (ISO 8855)"
 
 
 def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,22 +82,6 @@ def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
     for file in files:
         with contextlib.suppress(OSError):
             file.unlink()
-
-
-def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> dict[str, Any]:
-    """Open a writer for the unfinished file of each table. If a writer cannot be opened, all files
-    are removed.
-
-    files: the final path of each table. open_one: called with a table's name and a path.
-    """
-    writers: dict[str, Any] = {}
-    try:
-        for name, file in files.items():
-            writers[name] = open_one(name, str(unfinished(file)))
-    except OSError:
-        given_up(writers.values(), map(unfinished, files.values()))
-        raise
-    return writers
 
 
 def names_beside(path: Path, tables: Tables) -> dict[str, Path]:

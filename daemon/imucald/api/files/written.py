@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from imucald.api.columns import RAW, Columns
-from imucald.api.files.csv_text import CsvTables
+from imucald.api.files.arrow_files import CsvTables, ParquetTables
 from imucald.api.files.mcap_log import McapTables
 from imucald.api.files.mf4 import Mf4Tables
-from imucald.api.files.parquet import ParquetTables
 from imucald.api.files.table_file import Tables, TableWriter, about_tables
 from imucald.api.interchange import library
 from imucald.core.errors import ImucaldError

@@ -96,11 +96,6 @@ class LogReader:
         self._bytes_total: int | None = None
 
     @property
-    def share(self) -> float | None:
-        """Share of all bytes that has been read; None if standard input is among the files."""
-        return self._bytes_read / self._bytes_total if self._bytes_total else None
-
-    @property
     def frames_read(self) -> int:
         """Return the number of all valid frames so far, wanted or not."""
         return self._statistics.frames_read
