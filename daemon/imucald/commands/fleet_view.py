@@ -6,8 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.core.text import counted
-from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
-from imucald.fleet.reading import no_common_mount_words, present_mounts, shown_types, spread_text
+from imucald.fleet.reading import (
+    no_common_mount_words,
+    present_mounts,
+    shown_types,
+    spread_text,
+    time_text,
+    unordered_words,
+    when_moved,
+    why_not_known,
+)
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
