@@ -122,7 +122,7 @@ class OutputMessage:
 
     def prepare(self) -> None:
         """Compile the message now, so that the first frame takes no longer than later frames."""
-        _ = self._plan, self._protector
+        _ = self._plan, self._protector, self._limits
 
     @cached_property
     def _nothing(self) -> bytes:
