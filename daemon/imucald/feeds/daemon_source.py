@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from imucald.can.columns import IdMatch
 from imucald.can.link.link import Link
-from imucald.config import load_config
+from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.feeds.corrected_frames import GOOD, Attitude, CorrectedFrames, RawSamples, Triple
 from imucald.mount.mount_words import SD_95
 from imucald.runtime.flow import QUALITIES, present_alarms
 from imucald.service.asking import ask, content, understood
-from imucald.service.live import open_link
 
 STATUS_S = 1.0
 """Period of reading the status [s]."""
@@ -132,7 +132,7 @@ class DaemonSource:
             if self._wants_raw:
                 self._raw = RawSamples(loaded)
                 matches += self._raw.matches
-            self._link = open_link(loaded, matches, frozenset(), interface, channel)
+            self._link = _opened(loaded, matches, interface, channel)
         except ImucaldError as error:
             self._wants_frames = False
             self._say(f"{error}; only the status is sent. Name the configuration with --config")
@@ -149,6 +149,18 @@ class DaemonSource:
         """Close the bus."""
         if self._link is not None:
             self._link.close()
+
+
+def _opened(loaded: LoadedConfig, matches: list[IdMatch], interface: str, channel: str) -> Link:
+    bus = loaded.config.bus
+    return Link(
+        interface,
+        channel,
+        receive=matches,
+        fd=bus.fd,
+        bitrate=bus.bitrate,
+        options=bus.options,
+    )
 
 
 def status_content(at: float, status: Mapping[str, Any] | None) -> dict[str, Any]:
