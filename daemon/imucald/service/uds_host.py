@@ -15,7 +15,7 @@ from imucald.can.link.link import Link
 from imucald.config import LoadedConfig
 from imucald.core.files import read_regular
 from imucald.motion.ticks import TICK_RATE
-from imucald.mount.estimate import MountEstimate
+from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.hysteresis import BAD
 from imucald.runtime.flow import STARTING_S
 from imucald.runtime.mount_orders import TESTER, MountOrders, OrderedService
@@ -73,6 +73,7 @@ class LiveHost:
         self._service = service
         self._clock = clock
         self._began = clock()
+        self._estimate: tuple[MountEstimator, int, MountEstimate] | None = None
         self._known_as: tuple[LoadedConfig, Identity] | None = None
 
     @property
@@ -106,8 +107,13 @@ class LiveHost:
         return self._clock() - self._began
 
     def estimate(self) -> MountEstimate:
-        """Return the present mount estimate."""
-        return self._service.engine.pipeline.estimator.estimate()
+        """Return the present mount estimate. The estimate is computed at most once per tick."""
+        pipeline = self._service.engine.pipeline
+        known = self._estimate
+        if known is None or known[0] is not pipeline.estimator or known[1] != pipeline.k:
+            known = pipeline.estimator, pipeline.k, pipeline.estimator.estimate()
+            self._estimate = known
+        return known[2]
 
     def counts(self) -> FrameCounts:
         """Return the frame counters of engine and link."""
