@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -248,12 +248,18 @@ class Fine(ScriptedEstimator):
         return MountState.FINE
 
 
-def engine_of(loaded: LoadedConfig, estimator: object | None = None, **options: object) -> Engine:
-    """An engine with a scripted estimator."""
+def engine_of(
+    loaded: LoadedConfig,
+    estimator: object | None = None,
+    new_estimator: Callable[[], object] = ScriptedEstimator,
+    **options: object,
+) -> Engine:
+    """An engine with a scripted estimator. new_estimator: makes the next ones."""
     output = OutputFrames(loaded.config)
+    firsts = [] if estimator is None else [estimator]
     return Engine(
         compile_router(loaded),
-        ScriptedEstimator() if estimator is None else estimator,
+        lambda: firsts.pop() if firsts else new_estimator(),
         output,
         loaded.config.output.status_rate,
         consumers=consumers_for(loaded, output),

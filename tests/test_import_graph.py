@@ -109,14 +109,14 @@ LAZY_MODULES: Mapping[str, str] = {
     "runtime.estimators.estimator_for: mount.restored": "1 ms: few state a mount",
     "runtime.estimators.known_mount: mount.restored": "with it",
     "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
-    "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
-    "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",
+    "runtime.output.output_frames.__init__: runtime.output.attitude_frames": "1 ms",
+    "runtime.output.output_frames.__init__: runtime.output.travel_frames": "4 ms, 0.3 MiB",
     "runtime.session._consumers: runtime.consumers": "7 ms, 0.6 MiB: few switch one on",
     "runtime.session.open_compensation: model_compensation": "11 ms, 3.9 MiB: few have one",
     "runtime.estimators.published_settings: mount.method_a.settings": "with it",
     "service.status._metrics: service.metrics": "1 ms: few ask for metrics",
-    "service.parts.diagnostics_for: service.uds_on_bus": "16 ms, 4.9 MiB: few have UDS",
-    "service.parts.diagnostics_for: service.uds_records": "with it",
+    "service.parts._new_diagnostics: service.uds_on_bus": "16 ms, 4.9 MiB: few have UDS",
+    "service.parts._new_diagnostics: service.uds_records": "with it",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is
 ready within 0.3 s and takes less than 50 MiB, with those parts only that its configuration uses.

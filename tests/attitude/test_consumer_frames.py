@@ -102,7 +102,7 @@ class FixedEstimator:
 def engine_for(loaded):
     output = OutputFrames(loaded.config)
     router = compile_router(loaded)
-    return Engine(router, FixedEstimator(), output, consumers=consumers_for(loaded, output))
+    return Engine(router, FixedEstimator, output, consumers=consumers_for(loaded, output))
 
 
 def raw(message, *values):

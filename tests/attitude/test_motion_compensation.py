@@ -90,7 +90,8 @@ def test_a_lever_arm_is_taken_out(w, change):
 
 
 def test_zero_error_of_the_gyroscope_is_taken_off():
-    compensation = MotionCompensation(MotionCompensationSettings(), zero_error=(0.01, -0.02, 0.03))
+    compensation = MotionCompensation(MotionCompensationSettings())
+    compensation.zero_error = (0.01, -0.02, 0.03)
     result = compensation.take_sample(0.0, (0.0, 0.0, G), (0.11, 0.08, 0.03))
     assert result.rate == pytest.approx((0.1, 0.1, 0.0), abs=1e-15)
 

@@ -18,11 +18,11 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet import driver
 from imucald.fleet.columns import TABLES, VERSION
 from imucald.fleet.compaction import read_tables
-from imucald.fleet.driver import ALL_ALIKE, AllFailedError, FleetRun
+from imucald.fleet.driver import AllFailedError, FleetRun
 from imucald.fleet.fleet_file import Fleet, load_fleet
 from imucald.fleet.lease import NAME, Lease
 from imucald.fleet.listing import list_logs
-from imucald.fleet.plan import Options, Plan, planned
+from imucald.fleet.plan import SAMPLE, Options, Plan, planned
 from imucald.fleet.store import Store
 from imucald.fleet.tables import write_part
 from imucald.fleet.task import Cost, Outcome, Task
@@ -272,10 +272,10 @@ def test_what_crashes_twice_is_poison_until_it_is_asked_for(tmp_path: Path, flee
 
 def test_a_run_whose_first_logs_all_fail_the_same_stops(tmp_path: Path) -> None:
     fleet = load_fleet(make_logs(tmp_path, [f"bad no_frames {i}" for i in range(60)]))
-    with pytest.raises(AllFailedError, match=f"first {ALL_ALIKE} logs all failed: no_frames"):
+    with pytest.raises(AllFailedError, match=f"first {SAMPLE} logs all failed: no_frames"):
         go(fleet, tmp_path / "out")
     failures = read_tables(Store(str(tmp_path / "out")), ("failures",))["failures"]
-    assert len(failures) >= ALL_ALIKE, "what is known is written"
+    assert len(failures) >= SAMPLE, "what is known is written"
 
 
 def test_tasks_that_were_called_back_are_done_later(tmp_path: Path, fleet: Fleet) -> None:

@@ -14,11 +14,11 @@ from imucald.cli import main
 from imucald.core.errors import ImucaldError
 from imucald.fleet.columns import TABLES
 from imucald.fleet.compaction import read_tables
-from imucald.fleet.damaged import ASIDE, set_damaged_aside
 from imucald.fleet.fetch import local_copy
 from imucald.fleet.fleet_file import Fleet, load_fleet
 from imucald.fleet.listing import list_logs
 from imucald.fleet.store import Store
+from imucald.fleet.tables import ASIDE, set_damaged_aside
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.workers import run_one_log
 

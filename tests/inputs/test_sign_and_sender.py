@@ -15,7 +15,7 @@ from imucald.core.errors import ConfigError
 from imucald.inputs.column_samples import MAX_SKEW
 from imucald.inputs.sender_choice import SENDER_SETTLING
 from imucald.inputs.wiring import compile_router
-from imucald.service.identity import state_key
+from imucald.service.saved_state import state_key
 from imucald.traffic.drive_encoder import BusEncoder
 
 SIGNS = """VERSION ""

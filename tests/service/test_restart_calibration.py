@@ -6,7 +6,6 @@ import pytest
 
 from engine_bus import CONFIGS, ScriptedEstimator, engine_of, load
 from imucald.can.columns import FrameColumns
-from imucald.core.errors import EstimateError
 from imucald.mount.estimate import MountState
 from imucald.runtime.engine import Engine
 from imucald.runtime.session import make_engine
@@ -74,12 +73,6 @@ def test_the_former_estimator_hears_of_the_time_it_missed(tmp_path):
     engine.resume_calibration(first)
     assert first.rows == [b"gap"]
     assert engine.pipeline.correction == first.correction
-
-
-def test_an_engine_without_a_maker_of_estimators_says_so(tmp_path):
-    engine = engine_of(load(CONFIGS["planar"], tmp_path))
-    with pytest.raises(EstimateError, match="cannot make"):
-        engine.restart_calibration()
 
 
 def test_speed_and_health_can_be_asked_for():

@@ -16,8 +16,8 @@ from imucald.uds.dtc import (
     SENSOR_MOVED,
     SPEED_MISSING,
     STATE_CORRUPT,
+    DtcMemory,
 )
-from imucald.uds.dtc_memory import DtcMemory
 from imucald.uds.host import FrameCounts, Symptoms
 from uds_bench import Bench
 

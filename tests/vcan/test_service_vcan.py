@@ -22,8 +22,7 @@ import pytest
 import shuttle
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.asking import ask
-from imucald.service.identity import state_key
-from imucald.service.saved_state import SavedState, StateStore
+from imucald.service.saved_state import SavedState, StateStore, state_key
 
 pytestmark = pytest.mark.slow
 

@@ -20,8 +20,6 @@ from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
 from imucald.motion.lost_time import LostTime
 
-NAN = math.nan
-
 
 class CompensatedAttitude:
     """Processes samples in vehicle axes (ISO 8855), SI units, with stream time."""
@@ -48,8 +46,6 @@ class CompensatedAttitude:
         self._last: Compensated | None = None
         self._rest.begin()
         self._carried.restart()
-
-    gap = reset
 
     def check_again(self) -> None:
         """Measure the zero error again at the next rest that is long enough."""
@@ -146,14 +142,14 @@ class CompensatedAttitude:
             if last is None or stale
             else AttitudeState.UNFILTERED,
             t=self._t,
-            roll=NAN if last is None else roll,
-            pitch=NAN if last is None else -pitch,
-            heading=NAN,
+            roll=math.nan if last is None else roll,
+            pitch=math.nan if last is None else -pitch,
+            heading=math.nan,
             std=UNKNOWN,
             rate=UNKNOWN if last is None else vehicle_from_rfu(*last.rate),
             rate_std=UNKNOWN,
-            grade=NAN,
-            grade_std=NAN,
+            grade=math.nan,
+            grade_std=math.nan,
             bias=vehicle_from_rfu(*b),
             free_acceleration=UNKNOWN if last is None else vehicle_from_rfu(*last.force),
         )

@@ -42,12 +42,11 @@ class EndpointMaker:
         self.has_pieces = False
         """True if `piece` returned pieces within the open interval, or within the interval that has
         just closed."""
-        self._sign = 1.0
 
     def speed(self, t: float, speed: float) -> None:
-        """Process a speed [m/s], not negative, that was received at t [s]."""
+        """Process a speed [m/s], negative in reverse, that was received at t [s]."""
         self._heard = t
-        average = self._average.add_speed(t, self._sign * speed)
+        average = self._average.add_speed(t, speed)
         recent = self._recent
         if not recent or average.t > recent[-1].t:
             recent.append(average)
@@ -57,10 +56,6 @@ class EndpointMaker:
         if not self._last - spacing <= average.t < self._last + spacing - SLACK_S:
             self._last = average.t
             self._waiting.append(average)
-
-    def reverse(self, is_reverse: bool) -> None:
-        """Set whether the vehicle drives backwards."""
-        self._sign = -1.0 if is_reverse else 1.0
 
     def complete(self) -> Iterator[tuple[Endpoint | None, Endpoint]]:
         """Yield begin and end of the intervals that are complete.

@@ -55,8 +55,10 @@ from imucald.core.rotations import (
 from imucald.motion.lost_time import LostTime
 
 START_REST_STD = math.radians(10.0)
-START_MOVING_STD = math.radians(15.0)
-"""Assumed deviation of the tilt at the start [rad], at rest and in motion.
+MOVING_STD = math.radians(15.0)
+"""Assumed deviation of the tilt at the start [rad], at rest and in motion. The second also holds
+after a gap of the gyroscope shorter than `STALE_S`: ramps, kerbs and swerves turn a body by less
+than 20 deg/s about the level axes.
 
 The deviation is so large that the first interval corrects the tilt. With a small deviation, the
 filter would take an error of the tilt as an error of the accelerometer, which the filter forgets
@@ -75,12 +77,6 @@ second, as in a double lane change (ISO 3888-1).
 BRIDGED_S = 0.1
 """Longest time without a sample for which a straight line between two rates causes an error of at
 most 0.4 deg [s].
-"""
-UNSEEN_TILT_STD = START_MOVING_STD
-"""Deviation of roll and pitch after a gap of the gyroscope shorter than `STALE_S` [rad].
-
-Ramps, kerbs and swerves turn a body by less than 20 deg/s about the level axes. After the gap, the
-first interval must correct the tilt and not the accelerometer error.
 """
 SCATTER_S = 1.0
 """Shortest time over which the scatter of the samples is computed [s], also if the intervals are
@@ -144,13 +140,8 @@ class AttitudeFilter:
     # verbs -----------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forget the attitude, because the mount is no longer known."""
+        """Forget the attitude, because the mount is no longer known or time has jumped."""
         self._forget_attitude()
-        self.gap()
-
-    def gap(self) -> None:
-        """Note a jump of time: no difference is taken between values before the jump and values
-        after it."""
         self._restart()
         self._endpoints.restart()
         self._sign = 1.0
@@ -188,13 +179,17 @@ class AttitudeFilter:
                 self._turned_unseen(unseen)
             elif self._lost_time.skipped > BRIDGED_S:
                 self._bridged(step)
-        p, b = self.constant_bias, self.kalman.bias
-        bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
-        self._propagator.gyro(t, rfu_from_vehicle(values[0], values[1], values[2]), bias)
+        rate = rfu_from_vehicle(values[0], values[1], values[2])
+        self._propagator.gyro(t, rate, self._bias)
         for first, last in self._endpoints.complete():
             self._close(first, last)
         if (piece := self._endpoints.piece()) is not None and self.running:
             self._update(shared(self._interval(*piece)), None)
+
+    @property
+    def _bias(self) -> Vector:
+        p, b = self.constant_bias, self.kalman.bias
+        return p[0] + b[0], p[1] + b[1], p[2] + b[2]
 
     def _turned_unseen(self, seconds: float) -> None:
         """Note that the turn rate was not measured for this time [s].
@@ -207,7 +202,7 @@ class AttitudeFilter:
             self._propagator.restart()
             self._start = self._rest = self._still = None
             self._grade.restart()
-            self.kalman.turned_unseen(UNSEEN_TILT_STD, UNSEEN_YAW_RATE * seconds)
+            self.kalman.turned_unseen(MOVING_STD, UNSEEN_YAW_RATE * seconds)
         else:
             self._forget_attitude()
             self._restart()
@@ -236,13 +231,12 @@ class AttitudeFilter:
 
     def speed(self, t: float, speed: float) -> None:
         """Process a speed [m/s], not negative. `reverse` sets the direction."""
-        self._endpoints.speed(t, speed)
+        self._endpoints.speed(t, self._sign * speed)
         if self._motion is not None:
             self._motion.speed(t, self._sign * speed)
 
     def reverse(self, is_reverse: bool) -> None:
         """Set whether the vehicle drives backwards."""
-        self._endpoints.reverse(is_reverse)
         self._sign = -1.0 if is_reverse else 1.0
 
     def heading(self, t: float, heading: float) -> None:
@@ -356,10 +350,9 @@ class AttitudeFilter:
         )
         rate = vehicle_from_rfu(*self._propagator.rate)
         if unseen := self._unseen(now):
-            tilt, yaw = UNSEEN_TILT_STD, UNSEEN_YAW_RATE * unseen
+            tilt, yaw = MOVING_STD, UNSEEN_YAW_RATE * unseen
             std = (math.hypot(std[0], tilt), math.hypot(std[1], tilt), math.hypot(std[2], yaw))
             rate = UNKNOWN
-        a, b = self.constant_bias, kalman.bias
         spread = [math.sqrt(max(float(kalman.P[i, i]), 0.0)) for i in (3, 4, 5)]
         return AttitudeEstimate(
             state=self.state(now),
@@ -372,7 +365,7 @@ class AttitudeFilter:
             rate_std=(spread[1], spread[0], spread[2]),
             grade=self._grade.grade,
             grade_std=math.hypot(std[1], self._grade.spread),
-            bias=vehicle_from_rfu(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
+            bias=vehicle_from_rfu(*self._bias),
             free_acceleration=self._free,
         )
 
@@ -461,7 +454,7 @@ class AttitudeFilter:
             quaternion_from_vector(0.0, 0.0, heading), self._correction
         )
         s = self.settings.filter
-        tilt = START_REST_STD if resting else START_MOVING_STD
+        tilt = START_REST_STD if resting else MOVING_STD
         free = 0.0 if s.heading == "free" else math.pi
         is_own = self.checked and not self._check_is_restored
         self.kalman.start(tilt, free, s.gyro_random if is_own else s.gyro_start)
@@ -494,11 +487,9 @@ class AttitudeFilter:
         lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
         measurements = tilt(found, gravity, C, self.kalman.accel_error, lag)
         if still is not None and self.settings.filter.rest_update:
-            p, b = self.constant_bias, self.kalman.bias
-            bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
             x, y, z = (float(self.kalman.P[i, i]) for i in (3, 4, 5))
             noise, step = of_axes(self.settings.filter.gyro_noise), self._resolution
-            measurements += rest_rates(still, bias, noise, (x, y, z), step)
+            measurements += rest_rates(still, self._bias, noise, (x, y, z), step)
         self._apply(self.kalman.update(measurements))
         heading = vehicle_angles(self._C())[2]
         self._net_turn += wrapped(heading - self._heading_before)

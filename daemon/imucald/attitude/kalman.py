@@ -68,8 +68,6 @@ class NineStateFilter:
         self.bias: Vector = (0.0, 0.0, 0.0)
         self.accel_error: Vector = (0.0, 0.0, 0.0)
         self.P: Array = np.zeros((STATES, STATES))
-        self.widened = 0
-        """Number of measurements whose noise the gate had to increase."""
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
         """Begin again. The arguments are standard deviations [rad], [rad/s].
@@ -166,7 +164,6 @@ class NineStateFilter:
         limit = self.settings.gate**2
         if gated and innovation * innovation > limit * (expected + variance):
             variance = innovation * innovation / limit - expected
-            self.widened += 1
         K = Ph / (expected + variance)
         A = _EYE - np.outer(K, h)
         P = A @ P @ A.T + np.outer(K, K) * variance

@@ -109,11 +109,9 @@ class MotionCompensation:
     zero_error: zero error of the gyroscope [rad/s], right-forward-up axes.
     """
 
-    def __init__(
-        self, settings: MotionCompensationSettings, zero_error: Vector = (0.0, 0.0, 0.0)
-    ) -> None:
+    def __init__(self, settings: MotionCompensationSettings) -> None:
         self.settings = settings
-        self.zero_error = zero_error
+        self.zero_error: Vector = (0.0, 0.0, 0.0)
         self._average = SpeedAverager(settings)
         self._lever = rfu_from_vehicle(*settings.lever_arm)
         self.restart()

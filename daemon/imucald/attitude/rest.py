@@ -23,16 +23,30 @@ def is_rest(
 
     zero_error: known zero error of the gyroscope [rad/s].
     """
-    quiet = (
-        found.force_variance < settings.rest_accel_spread**2
-        and sum(found.rate_variance) < settings.rest_gyro_spread**2
-        and math.dist(found.rate, zero_error) < MAX_ZERO_ERROR * max(settings.gyro_start)
-    )
-    if math.isnan(found.speed):
-        # Without a speed, only a vehicle as still as a parked one counts as at rest.
-        size = math.sqrt(sum(c * c for c in found.up))
-        return quiet and feels_parked(found.force_variance, size)
-    return quiet and first.speed == 0.0 and last.speed == 0.0
+    has_speed = not math.isnan(found.speed)
+    if has_speed and not first.speed == last.speed == 0.0:
+        return False
+    force = found.force_variance, math.hypot(*found.up)
+    rate = sum(found.rate_variance), math.dist(found.rate, zero_error)
+    return _is_quiet(force, rate, has_speed, settings)
+
+
+def _is_quiet(
+    force: tuple[float, float],
+    rate: tuple[float, float],
+    has_speed: bool,
+    settings: FilterSettings,
+) -> bool:
+    """Return whether both sensors are as quiet as at rest. Without a speed, only a vehicle as still
+    as a parked one counts as at rest.
+
+    force, rate: variance of one sample, sum over all axes, and size of the mean, SI.
+    """
+    if rate[0] >= settings.rest_gyro_spread**2:
+        return False
+    if rate[1] >= MAX_ZERO_ERROR * max(settings.gyro_start):
+        return False
+    return force[0] < settings.rest_accel_spread**2 if has_speed else feels_parked(*force)
 
 
 class _TriadSums:
@@ -61,10 +75,11 @@ class _TriadSums:
         return self.x / self.n, self.y / self.n, self.z / self.n
 
     @property
-    def variance(self) -> float:
-        """Variance of one sample, sum over all axes."""
+    def spread(self) -> tuple[float, float]:
+        """Variance of one sample, sum over all axes, and size of the mean."""
         x, y, z = self.mean
-        return max(self.square / self.n - (x * x + y * y + z * z), 0.0)
+        size = x * x + y * y + z * z
+        return max(self.square / self.n - size, 0.0), math.sqrt(size)
 
 
 class RestingGyro:
@@ -111,7 +126,10 @@ class RestingGyro:
         self._rates.add_vector(rate)
         if t - self._block < BLOCK_S:
             return None
-        if not self._is_quiet(speed_known=stands is True):
+        rates, forces = self._rates, self._forces
+        if not forces.n or not _is_quiet(
+            forces.spread, rates.spread, stands is True, self._settings
+        ):
             self.begin()
             return None
         self._total.include(self._rates)
@@ -122,13 +140,3 @@ class RestingGyro:
         found = self._total.mean
         self.begin()
         return found
-
-    def _is_quiet(self, speed_known: bool) -> bool:
-        s, rates, forces = self._settings, self._rates, self._forces
-        if rates.variance > s.rest_gyro_spread**2 or not forces.n:
-            return False
-        if math.hypot(*rates.mean) > MAX_ZERO_ERROR * max(s.gyro_start):
-            return False
-        if speed_known:
-            return forces.variance < s.rest_accel_spread**2
-        return feels_parked(forces.variance, math.hypot(*forces.mean))

@@ -12,8 +12,6 @@ import math
 
 from imucald.core.rotations import Rows, Vector
 
-TWO_PI = 2.0 * math.pi
-
 
 def rfu_from_vehicle(x: float, y: float, z: float) -> Vector:
     """Convert a vector from vehicle axes (forward, left, up) to right-forward-up axes."""
@@ -36,9 +34,9 @@ def vehicle_angles(C_nav_from_body: Rows) -> Vector:
     pitch = -math.atan2(C_nav_from_body[7], math.hypot(C_nav_from_body[6], C_nav_from_body[8]))
     roll = math.atan2(-C_nav_from_body[6], C_nav_from_body[8])
     heading = math.atan2(C_nav_from_body[1], C_nav_from_body[4])
-    return roll, pitch, heading % TWO_PI
+    return roll, pitch, heading % math.tau
 
 
 def wrapped(angle: float) -> float:
     """Return the same angle in [-pi, pi] [rad]."""
-    return math.remainder(angle, TWO_PI)
+    return math.remainder(angle, math.tau)

@@ -8,8 +8,9 @@ accelerometer.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
+
+from msgspec import ValidationError, convert
 
 from imucald.core.rotations import Matrix3, Vector, matrix_times
 from imucald.core.samples import GRAVITY
@@ -64,17 +65,11 @@ class CheckResult(NamedTuple):
     @classmethod
     def from_saved(cls, data: object) -> CheckResult | None:
         """Return the check from a saved state; None if it is not the check of a working sensor."""
-        if not isinstance(data, Mapping):
+        try:
+            saved = convert(data, dict[str, Vector])
+            found = cls(saved["rate"], saved["force"])
+        except (ValidationError, KeyError):
             return None
-        rate, force = data.get("rate"), data.get("force")
-        for values in (rate, force):
-            if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != 3:
-                return None
-            if not all(isinstance(c, float | int) for c in values):
-                return None
-        assert isinstance(rate, Sequence)
-        assert isinstance(force, Sequence)
-        found = cls((rate[0], rate[1], rate[2]), (force[0], force[1], force[2]))
         return found if found.is_believable else None
 
 

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.commands.files import check_files
     from imucald.commands.terminal import progress_bar
     from imucald.runtime.summary import as_json
-    from imucald.service.start_check import check_start
+    from imucald.service.uds_on_bus import check_start
 
     refuse_log_and_bus(options)
     check_files((options.config, *options.database, *options.logs), ())

@@ -16,7 +16,6 @@ from imucald.core.text import counted, duration, size
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.fleet_file import read_settings
 from imucald.fleet.lease import Lease, holder_of
-from imucald.fleet.move_words import time_text, unordered_words, when_moved, why_not_known
 from imucald.fleet.reading import (
     analyse_fleet,
     mixed_words,
@@ -24,6 +23,10 @@ from imucald.fleet.reading import (
     present_mounts,
     shown_types,
     spread_text,
+    time_text,
+    unordered_words,
+    when_moved,
+    why_not_known,
 )
 from imucald.fleet.store import Store
 from imucald.fleet.tables import parts

@@ -57,13 +57,13 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
         unpack({})  # makes the folder whose name the template inherits
         template_for(function).begin()  # imports while this process does
     from imucald.commands.options import print_problems
-    from imucald.fleet.damaged import set_damaged_aside
     from imucald.fleet.driver import FleetRun
     from imucald.fleet.fleet_file import load_fleet
     from imucald.fleet.lease import Lease
     from imucald.fleet.listing import list_logs
     from imucald.fleet.plan import Options, planned
     from imucald.fleet.store import Store
+    from imucald.fleet.tables import set_damaged_aside
     from imucald.fleet.task import LogLimits
 
     memory = _amount("--memory", options.memory, _SIZES, "(?:i?B)?",

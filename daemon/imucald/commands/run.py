@@ -179,7 +179,7 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
     from imucald.service.announcements import say_idle_keys
-    from imucald.service.start_check import check_start
+    from imucald.service.uds_on_bus import check_start
 
     try:
         loaded = open_config(options.config, options.database)

@@ -20,12 +20,12 @@ REPEAT_S = 30.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `wait`."""
     from imucald.commands.status import add_socket_argument
-    from imucald.runtime.flow import SERVED
+    from imucald.runtime.flow import QUALITIES
 
     add_socket_argument(parser)
     parser.add_argument(
         "--state",
-        choices=tuple(SERVED.values()),
+        choices=QUALITIES[1:4],
         default="usable",
         help="quality of the corrected frames to wait for, or better (default: usable)",
     )
@@ -83,9 +83,7 @@ def _asked(options: argparse.Namespace) -> tuple[int, str]:
 
 
 def _is_reached(status: Mapping[str, Any], state: str) -> bool:
-    from imucald.runtime.flow import SERVED, FlowKind, flow
+    from imucald.runtime.flow import QUALITIES, FlowKind, flow
 
-    states = tuple(SERVED.values())  # from worst to best
-    if flow(status).kind is not FlowKind.SERVED:
-        return False
-    return states.index(SERVED[status["quality"]]) >= states.index(state)
+    is_served = flow(status).kind is FlowKind.SERVED
+    return is_served and int(status["quality"]) >= QUALITIES.index(state)

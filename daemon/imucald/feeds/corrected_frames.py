@@ -40,7 +40,7 @@ class VectorMeans:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the vectors."""
+        """The names of the vectors: "acceleration", "angular_rate"."""
         return tuple(self._sums)
 
     def add_vector(self, name: str, t: float, values: Sequence[float], quality: int = 0) -> None:
@@ -76,7 +76,7 @@ class VectorMeans:
         return found
 
 
-class CorrectedFrames:
+class CorrectedFrames(VectorMeans):
     """Means of the corrected samples in m/s^2 and deg/s, and the newest attitude.
 
     accepted: accepted qualities; frames with other qualities are ignored. Checksum, counter, length
@@ -91,7 +91,7 @@ class CorrectedFrames:
             for channel, name in CHANNELS.items()
             if channel in output.triads
         }
-        self._means = VectorMeans(messages)
+        super().__init__(messages)
         if output.attitude is not None:
             messages[ATTITUDE] = output.attitude.angles
         self._by_id = {
@@ -99,11 +99,6 @@ class CorrectedFrames:
             for name, message in messages.items()
         }
         self._attitude: tuple[float, Attitude] = (float("-inf"), (0.0, 0.0, None))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the vectors: "acceleration", "angular_rate"."""
-        return self._means.names
 
     @property
     def matches(self) -> list[IdMatch]:
@@ -127,18 +122,9 @@ class CorrectedFrames:
         elif (
             x is None or y is None or z is None or quality is None or quality not in self._accepted
         ):
-            self._means.end(name)
+            self.end(name)
         else:
-            self._means.add_vector(name, t, (x, y, z), int(quality))
-
-    def means(self, now: float) -> Mapping[str, Triple | None]:
-        """Return the means since the last call by name, in m/s^2 and deg/s; see `VectorMeans`."""
-        return self._means.means(now)
-
-    @property
-    def quality(self) -> Mapping[str, int]:
-        """Lowest quality among the samples in each mean, by name."""
-        return self._means.quality
+            self.add_vector(name, t, (x, y, z), int(quality))
 
     def attitude(self, now: float) -> Attitude | None:
         """Return roll, pitch and heading [deg] of the vehicle; None means not available."""
@@ -146,7 +132,7 @@ class CorrectedFrames:
         return angles if now - t <= STALE_S else None
 
 
-class RawSamples:
+class RawSamples(VectorMeans):
     """Means of the raw samples, in the sensor's own axes, in m/s^2 and deg/s.
 
     Raises ConfigError if the databases of the configuration cannot be read.
@@ -155,7 +141,7 @@ class RawSamples:
     def __init__(self, loaded: LoadedConfig) -> None:
         self._router = compile_router(loaded)
         there = self._router.channels
-        self._means = VectorMeans(name for channel, name in CHANNELS.items() if channel in there)
+        super().__init__(name for channel, name in CHANNELS.items() if channel in there)
 
     @property
     def matches(self) -> list[IdMatch]:
@@ -166,10 +152,6 @@ class RawSamples:
         """Process a frame that was received at t [s]. The clock must be the same as for `means`."""
         for channel, values in self._router.frame(t, can_id, data)[0]:
             if channel == "accel":
-                self._means.add_vector(CHANNELS[channel], t, values)
+                self.add_vector(CHANNELS[channel], t, values)
             elif channel == "gyro":
-                self._means.add_vector(CHANNELS[channel], t, [v * DEG_PER_RAD for v in values])
-
-    def means(self, now: float) -> Mapping[str, Triple | None]:
-        """Return the means since the last call by name; see `VectorMeans`."""
-        return self._means.means(now)
+                self.add_vector(CHANNELS[channel], t, [v * DEG_PER_RAD for v in values])

@@ -1,4 +1,5 @@
-"""The input of a feed: the daemon's status socket, and its corrected frames on the bus."""
+"""The input of a feed: the daemon's status socket, and its corrected frames on the bus. The part of
+the status that a feed sends."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from imucald.can.link.link import Link
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.feeds.corrected_frames import GOOD, Attitude, CorrectedFrames, RawSamples, Triple
-from imucald.feeds.status_content import status_content
+from imucald.mount.mount_words import SD_95
+from imucald.runtime.flow import QUALITIES, present_alarms
 from imucald.service.asking import ask, content, understood
 
 STATUS_S = 1.0
@@ -59,7 +61,6 @@ class DaemonSource:
         accepted: Iterable[int] = GOOD,
         config: Path | None = None,
         wants_frames: bool = True,
-        clock: Callable[[], float] = time.monotonic,
         wants_raw: bool = False,
     ) -> None:
         self._socket = status_socket
@@ -67,8 +68,7 @@ class DaemonSource:
         self._accepted = frozenset(accepted)
         self._config = config
         self._wants_frames, self._wants_raw = wants_frames, wants_raw
-        self._clock = clock
-        self._next_status = clock()
+        self._next_status = time.monotonic()
         self._status: Mapping[str, Any] | None = None
         self._frames: CorrectedFrames | None = None
         self._raw: RawSamples | None = None
@@ -77,14 +77,14 @@ class DaemonSource:
 
     def read(self, seconds: float) -> Reading:
         """Listen for `seconds` [s], then return the present reading."""
-        end = self._clock() + seconds
-        is_new = self._clock() >= self._next_status
+        end = time.monotonic() + seconds
+        is_new = time.monotonic() >= self._next_status
         if is_new:
-            self._next_status = self._clock() + STATUS_S
+            self._next_status = time.monotonic() + STATUS_S
             self._ask()
-        while (left := end - self._clock()) > 0.0:
+        while (left := end - time.monotonic()) > 0.0:
             self._listen(left)
-        frames, raw, now = self._frames, self._raw, self._clock()
+        frames, raw, now = self._frames, self._raw, time.monotonic()
         return Reading(
             time.time(),
             self._status,
@@ -100,7 +100,7 @@ class DaemonSource:
             time.sleep(seconds)
             return
         for _, can_id, data in self._link.receive(seconds):
-            now = self._clock()
+            now = time.monotonic()
             self._frames.take_frame(now, can_id, data)
             if self._raw is not None:
                 self._raw.take_frame(now, can_id, data)
@@ -161,3 +161,35 @@ def _opened(loaded: LoadedConfig, matches: list[IdMatch], interface: str, channe
         bitrate=bus.bitrate,
         options=bus.options,
     )
+
+
+def status_content(at: float, status: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return state, mount with ± (95 %), and missing evidence. `running` is false if no daemon
+    answers.
+
+    at: wall clock [s]. status: see `Reading`.
+    """
+    if status is None:
+        return {"at": round(at, 3), "running": False}
+    mount = status["mount"]
+    return {
+        "at": round(at, 3),
+        "running": True,
+        "state": status["state"],
+        "quality": QUALITIES[status["quality"]],
+        "held": bool(status.get("held")),
+        "mount": {
+            **{f"{a}_deg": mount[f"{a}_deg"] for a in ("roll", "pitch", "yaw")},
+            "plus_minus_deg": _halves({axis: mount["std_deg"][axis] for axis in "xyz"}),
+            "angle_plus_minus_deg": _halves(mount.get("angle_std_deg", {})),
+            "quaternion_wxyz": mount["quaternion_wxyz"],
+            "sits": mount["sits"],
+        },
+        "waiting_for": status["waiting_for"],
+        "alarms": list(present_alarms(status)),
+        "bus": status["link"]["state"],
+    }
+
+
+def _halves(std: Mapping[str, float | None]) -> dict[str, float | None]:
+    return {name: None if s is None else SD_95 * s for name, s in std.items()}

@@ -14,9 +14,8 @@ from typing import Any
 from imucald.core.angles import RAD_PER_DEG
 from imucald.core.rotations import quaternion_from_rotation, rotation_from_angles
 from imucald.feeds.corrected_frames import Triple
-from imucald.feeds.daemon_source import Reading, Say
+from imucald.feeds.daemon_source import Reading, Say, status_content
 from imucald.feeds.feed_loop import ReceiverError
-from imucald.feeds.status_content import status_content
 
 _NUMBER = {"type": ["number", "null"]}
 

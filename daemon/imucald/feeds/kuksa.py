@@ -104,7 +104,7 @@ class KuksaReceiver:
         try:
             return self._client.get_value_types([path], timeout=CALL_S)[path]
         except self._library.VSSClientError as error:
-            if error.error.get("code") != NOT_FOUND:
+            if error.error.get("code") != 404:  # unknown signal
                 raise
         if path not in self._reported:
             self._reported.add(path)
@@ -158,10 +158,6 @@ class KuksaReceiver:
         found = error.error
         reason = found.get("message") or found.get("reason") or str(error)
         return ReceiverError(f"{self._broker}: {' '.join(str(reason).split())[:200]}")
-
-
-NOT_FOUND = 404
-"""Error code of kuksa-client for an unknown signal name."""
 
 
 def vss_values(reading: Reading) -> dict[str, Any]:

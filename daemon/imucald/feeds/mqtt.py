@@ -13,9 +13,9 @@ from typing import Any
 
 from imucald.core.errors import ConfigError
 from imucald.core.text import json_text
-from imucald.feeds.daemon_source import Reading, Say
+from imucald.feeds.daemon_source import Reading, Say, status_content
 from imucald.feeds.feed_loop import FIRST_PAUSE_S, LONGEST_PAUSE_S, next_pause
-from imucald.feeds.status_content import QUALITIES, status_content
+from imucald.runtime.flow import QUALITIES
 
 PASSWORD = "IMUCALD_MQTT_PASSWORD"
 """Environment variable for the password, because a command line is not secret."""

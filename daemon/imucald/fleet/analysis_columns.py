@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from imucald.fleet.columns import Column, floats, texts
+from imucald.fleet.columns import ANGLE_NAMES, MOUNT, QUATERNION, Column, floats, texts
 
 
 def _xyz(unit: str, meaning: str, form: str) -> tuple[Column, ...]:
@@ -13,18 +13,15 @@ def _xyz(unit: str, meaning: str, form: str) -> tuple[Column, ...]:
     return floats(unit, meaning, *(form.format(axis) for axis in "xyz"))
 
 
-_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-_ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 _MOUNT = (
-    *floats("", "mount as a unit quaternion, R_vehicle_from_sensor", *_QUATERNION),
-    *floats("deg", "mount as intrinsic Z-Y-X angles", *_ANGLES),
+    *MOUNT,
     *_xyz("deg", "half of the 95 % interval about the axis, crown included", "ci95_{}_deg"),
 )
 _OF_ANGLES = (
     "deg",
     "half of the 95 % interval of the angle, crown included; null where the angle is not known",
 )
-_CI95_OF_ANGLES = floats(*_OF_ANGLES, *(f"ci95_{name}" for name in _ANGLES))
+_CI95_OF_ANGLES = floats(*_OF_ANGLES, *(f"ci95_{name}" for name in ANGLE_NAMES))
 _TEST = (
     *floats("", "probability that chance alone gives such a difference", "p"),
     *floats("", "share of false findings among all findings with this q or a smaller one", "q"),
@@ -64,12 +61,12 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *floats(
             "",
             "mount, shrunk towards the mount of the type",
-            *(f"shrunk_{name}" for name in _QUATERNION),
+            *(f"shrunk_{name}" for name in QUATERNION),
         ),
         *floats(
             "deg",
             "mount, shrunk towards the mount of the type",
-            *(f"shrunk_{name}" for name in _ANGLES),
+            *(f"shrunk_{name}" for name in ANGLE_NAMES),
         ),
         *_xyz(
             "deg", "half of the 95 % interval about the axis, crown included", "shrunk_ci95_{}_deg"
@@ -83,7 +80,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_TEST,
         Column("outlier", "flag", "", "true if the vehicle differs clearly from its type"),
         *_CI95_OF_ANGLES,
-        *floats(*_OF_ANGLES, *(f"shrunk_ci95_{name}" for name in _ANGLES)),
+        *floats(*_OF_ANGLES, *(f"shrunk_ci95_{name}" for name in ANGLE_NAMES)),
         Column(
             "drives_unordered",
             "integer",

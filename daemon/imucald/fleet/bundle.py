@@ -14,7 +14,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -49,10 +49,10 @@ class Bundle(msgspec.Struct, frozen=True):
         return hashlib.sha256(content).hexdigest()[:KEY_DIGITS]
 
 
-def bundle_of(config: Path, databases: Iterable[Path] = ()) -> Bundle:
+def bundle_of(config: Path) -> Bundle:
     """Read a configuration and the files that it names. Raises ConfigError if `imucald run` would
     refuse the configuration."""
-    loaded = open_config(config, list(databases))
+    loaded = open_config(config)
     make_engine(loaded)
     paths = [loaded.database_path(entry) for entry in loaded.config.database]
     try:

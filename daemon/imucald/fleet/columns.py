@@ -10,7 +10,7 @@ from typing import Final, Literal, NamedTuple
 
 VERSION: Final = 2
 
-Kind = Literal["text", "time", "float", "integer", "short", "flag", "float32", "int8"]
+Kind = Literal["text", "time", "float", "integer", "short", "flag"]
 
 
 class Column(NamedTuple):
@@ -35,22 +35,13 @@ def texts(**meanings: str) -> tuple[Column, ...]:
 AXES: Final = ("x", "y", "z")
 PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Suffixes of the six elements of a symmetric matrix."""
+COVARIANCES: Final = tuple(f"cov_{pair}_deg2" for pair in PAIRS)
 
-_VEHICLE = texts(
-    vehicle="name of the vehicle, by the rules of fleet.yaml",
-    vehicle_type="model of the vehicle; all sensors of a type should have the same mount",
-    sensor_serial="serial number of the sensor",
-    sensor_batch="production batch of the sensor",
-    firmware="firmware of the sensor",
-)
-_MOUNT = (
-    *floats("", "mount as a unit quaternion, R_vehicle_from_sensor", "q_w", "q_x", "q_y", "q_z"),
-    *floats("deg", "mount as intrinsic Z-Y-X angles", "roll_deg", "pitch_deg", "yaw_deg"),
-)
-_COVARIANCE = floats(
-    "deg^2",
-    "covariance of the rotation-vector error about the vehicle's axes",
-    *(f"cov_{pair}_deg2" for pair in PAIRS),
+QUATERNION: Final = ("q_w", "q_x", "q_y", "q_z")
+ANGLE_NAMES: Final = ("roll_deg", "pitch_deg", "yaw_deg")
+MOUNT = (
+    *floats("", "mount as a unit quaternion, R_vehicle_from_sensor", *QUATERNION),
+    *floats("deg", "mount as intrinsic Z-Y-X angles", *ANGLE_NAMES),
 )
 
 TABLES: Final[dict[str, tuple[Column, ...]]] = {
@@ -58,9 +49,11 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *texts(
             log_key="SHA-256 of the log's content, 16 hex digits: one row for each",
             run_key="hash of configuration, databases, model file and version",
-        ),
-        *_VEHICLE,
-        *texts(
+            vehicle="name of the vehicle, by the rules of fleet.yaml",
+            vehicle_type="model of the vehicle; all sensors of a type should have the same mount",
+            sensor_serial="serial number of the sensor",
+            sensor_batch="production batch of the sensor",
+            firmware="firmware of the sensor",
             sources="addresses of the log, a JSON list",
             date="day of the log, or the day that a rule of fleet.yaml gives",
         ),
@@ -75,8 +68,12 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *floats("m", "distance, computed from the speed", "distance_m"),
         *texts(state="state of the calibration at the end"),
         *floats("s", "time from the log's first frame", "first_usable_s", "first_fine_s"),
-        *_MOUNT,
-        *_COVARIANCE,
+        *MOUNT,
+        *floats(
+            "deg^2",
+            "covariance of the rotation-vector error about the vehicle's axes",
+            *COVARIANCES,
+        ),
         *floats(
             "deg",
             "standard deviation of roll due to the road crown, contained in cov_xx; common to all "

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import platform
 import time
+import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,9 +21,8 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet.bundle import Bundle, code_hash, unpack
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.template_client import close_templates
-from imucald.fleet.workers import Futures, outcome_of, run_one_log, unique_keys
+from imucald.fleet.workers import Futures, outcome_of, run_one_log
 
-CONNECTING_S = 30.0
 WORKERS_S = 60.0
 """Longest wait for the first worker [s]."""
 TRIES, AGAIN_S = 5, 1.0
@@ -33,8 +33,6 @@ new scheduler does not know the tasks."""
 SCHEDULER_GONE = (
     "the Dask scheduler has ended; start it again, then run the same command to continue"
 )
-CLOSING_S = 5.0
-PLUGIN = "imucald-fleet"
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ _client: Any = Client
 class BundlePlugin(WorkerPlugin):
     """Sends the bundles to each worker, including workers that join later."""
 
-    name = PLUGIN
+    name = "imucald-fleet"
 
     def __init__(self, bundles: Mapping[str, Bundle]) -> None:
         self._bundles = dict(bundles)
@@ -100,7 +98,7 @@ class DaskWorkers:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         security = None if tls is None else tls.security()
         try:
-            self._client: Any = _client(address, security=security, timeout=CONNECTING_S)
+            self._client: Any = _client(address, security=security, timeout=30.0)
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ImucaldError(f"{address}: no Dask scheduler answers: {error}") from None
         try:
@@ -156,7 +154,8 @@ class DaskWorkers:
 
     def submit(self, tasks: Sequence[Task]) -> None:
         """Submit tasks to the cluster."""
-        keys = unique_keys(len(tasks))
+        # not the path of a log: for an equal key, Dask would return the old result
+        keys = [f"imucald-log-{uuid.uuid4().hex}" for _ in tasks]
         with self._scheduler_asked():
             futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
         for future, task in zip(futures, tasks, strict=True):
@@ -168,7 +167,8 @@ class DaskWorkers:
         with self._scheduler_asked():
             pass
         for future, task in self._futures.ended(timeout):
-            found.append((task, _result(future)))
+            is_cancelled = future.status == "cancelled"
+            found.append((task, None if is_cancelled else outcome_of(future)))
             future.release()
         return found
 
@@ -179,7 +179,7 @@ class DaskWorkers:
         """Disconnect from the cluster. Do not wait if the scheduler is gone."""
         is_gone = self._client.status in GONE
         with contextlib.suppress(OSError, TimeoutError, RuntimeError):
-            self._client.close(timeout=0 if is_gone else CLOSING_S)
+            self._client.close(timeout=0 if is_gone else 5.0)
 
     @contextlib.contextmanager
     def _scheduler_asked(self) -> Iterator[None]:
@@ -191,7 +191,3 @@ class DaskWorkers:
             yield
         except (OSError, TimeoutError, RuntimeError):
             raise ImucaldError(SCHEDULER_GONE) from None
-
-
-def _result(future: Any) -> Outcome | None:
-    return None if future.status == "cancelled" else outcome_of(future)

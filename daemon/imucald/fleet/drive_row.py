@@ -13,7 +13,7 @@ import numpy as np
 from imucald.api.columns import Columns
 from imucald.api.drive import DriveResult
 from imucald.config import Config
-from imucald.fleet.columns import AXES, PAIRS
+from imucald.fleet.columns import AXES, PAIRS, QUATERNION
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.task import Task
 from imucald.mount.mount_words import is_move
@@ -42,7 +42,7 @@ def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
         "state": drive.state,
         "first_usable_s": drive.first_usable_s,
         "first_fine_s": drive.first_fine_s,
-        **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion, strict=True)),
+        **dict(zip(QUATERNION, quaternion, strict=True)),
         **{f"{angle}_deg": mount[f"{angle}_deg"] for angle in ("roll", "pitch", "yaw")},
         "crown_std_deg": crown,
         "driving_side": config.vehicle.driving_side,

@@ -32,9 +32,6 @@ FLUSH_SHARE = 0.1
 """Longest time between two flushes, as a share of the run's time. A run that is killed after some
 seconds therefore keeps most of its results, and a long run writes no more parts."""
 LOOK_S = 0.5
-ALL_ALIKE = SAMPLE
-"""If this number of first logs all fail for the same reason, the run is aborted: the cause is not
-in the logs."""
 TRIES = 2
 
 ORDER_OF_WRITING = ("costs", "events", "failures", "drives", "sources")
@@ -196,10 +193,10 @@ class FleetRun:
             attempts=attempt,
         )
         failed = self.counts.failed
-        if self.counts.done == failed[outcome.kind] == ALL_ALIKE:
+        if self.counts.done == failed[outcome.kind] == SAMPLE:
             self.stop()
             raise AllFailedError(
-                f"the first {ALL_ALIKE} logs all failed: {outcome.kind}. The last of them: "
+                f"the first {SAMPLE} logs all failed: {outcome.kind}. The last of them: "
                 f"{outcome.message}. Correct this, then run the same command to continue"
             )
 

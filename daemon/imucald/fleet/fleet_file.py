@@ -18,9 +18,6 @@ from imucald.core.yaml_lines import read_yaml_file
 from imucald.fleet.bundle import Bundle, bundle_of
 
 _WHOLE = "fleet file"
-DEFAULT_RULE = r"(?P<vehicle>[^/]+)/[^/]+$"
-"""Default rule: the name of the log's folder is the name of the vehicle."""
-_DATE = re.compile(r"(\d{4})[-_/.]?(\d\d)[-_/.]?(\d\d)")
 COLUMNS = ("type", "sensor_serial", "sensor_batch", "firmware")
 
 
@@ -34,9 +31,9 @@ class FleetSettings(Settings, frozen=True, kw_only=True):
     """Configuration for all vehicles whose type is not in `configs`."""
     configs: dict[str, str] = msgspec.field(default_factory=dict)
     """Configuration by vehicle type."""
-    path: str = DEFAULT_RULE
+    path: str = r"(?P<vehicle>[^/]+)/[^/]+$"
     """Regular expression for the address, with the group (?P<vehicle>...) and optional groups
-    (?P<date>...) and (?P<type>...)."""
+    (?P<date>...) and (?P<type>...). By default, the name of the log's folder is the vehicle."""
     vehicles: str | None = None
     """CSV with the columns vehicle, type, sensor_serial, sensor_batch, firmware, from, to."""
     storage: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
@@ -121,7 +118,7 @@ class Fleet:
 
 def iso_day(text: str | None) -> str | None:
     """Convert a day in any common notation to YYYY-MM-DD; None if the text is not a day."""
-    match = _DATE.search(text or "")
+    match = re.search(r"(\d{4})[-_/.]?(\d\d)[-_/.]?(\d\d)", text or "")
     return "-".join(match.groups()) if match else None
 
 

@@ -14,7 +14,6 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet.store import Store
 
 NAME = "_lease.json"
-BEAT_S = 20.0
 STALE_S = 120.0
 """If an owner on another machine does not renew the lease for this time, the owner counts as dead
 [s]."""
@@ -64,10 +63,10 @@ class Lease:
         return self
 
     def beat(self) -> None:
-        """Renew the lease if a renewal is due. Raises ImucaldError if another run has taken the
+        """Renew the lease every 20 s. Raises ImucaldError if another run has taken the
         lease."""
         now = time.time()
-        if now - self._owner.beat < BEAT_S:
+        if now - self._owner.beat < 20.0:
             return
         self._check()
         self._owner = msgspec.structs.replace(self._owner, beat=now)

@@ -8,7 +8,6 @@ import io
 import re
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -16,8 +15,6 @@ import msgspec
 from imucald.core.errors import ImucaldError
 from imucald.fleet.fetch import LOCAL, bare_path, file_system, protocol_of
 from imucald.fleet.fleet_file import Fleet, patterns
-
-LISTS = (".csv", ".txt")
 
 
 class Log(msgspec.Struct, frozen=True):
@@ -58,7 +55,7 @@ def _of(fleet: Fleet, pattern: str, lists: tuple[str, ...] = ()) -> Iterator[Log
         )
     if protocol_of(pattern) in LOCAL:
         url = str(fleet.folder / bare_path(pattern))
-    if url.lower().endswith(LISTS) and not any(c in url for c in "*?["):
+    if url.lower().endswith((".csv", ".txt")) and not any(c in url for c in "*?["):
         if url in lists:
             raise ImucaldError(f"{url}: this list contains itself")
         for address in _listed(url, storage):
@@ -120,8 +117,3 @@ def is_since(log: Log, day: str | None, since: str) -> bool:
     if day is None and log.changed is not None:
         day = datetime.fromtimestamp(log.changed, UTC).date().isoformat()
     return day is None or day >= since
-
-
-def shown(source: str) -> str:
-    """Return the last part of an address, for messages."""
-    return Path(source).name

@@ -18,8 +18,6 @@ from imucald.fleet.reading import analyse_fleet, read_analysis
 from imucald.fleet.store import Store
 from imucald.fleet.tables import parts
 
-_FOLDER = "analysis/"
-
 
 class FleetTables:
     """The tables in the folder of a fleet, as Arrow tables. Each table is read at its first use.
@@ -78,7 +76,7 @@ class FleetTables:
     def vehicles(self) -> pa.Table:
         """Table with a row for each vehicle. Raises ImucaldError if the fleet is not analysed
         yet."""
-        return self.table(f"{_FOLDER}vehicles")
+        return self.table("analysis/vehicles")
 
     def analyse(self, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
         """Analyse the fleet like the command `imucald fleet analyse`, write the tables, and return

@@ -13,20 +13,18 @@ import pyarrow.compute as pc
 from imucald import __version__
 from imucald.core.text import counted
 from imucald.fleet.compaction import read_tables
-from imucald.fleet.move_words import (
-    names_of,
-    time_text,
-    unordered_words,
-    when_moved,
-    why_not_known,
-)
 from imucald.fleet.reading import (
     has_common_mount,
+    names_of,
     no_common_mount_words,
     present_mounts,
     read_analysis,
     shown_types,
     spread_text,
+    time_text,
+    unordered_words,
+    when_moved,
+    why_not_known,
 )
 from imucald.fleet.store import Store
 from imucald.mount.estimate import GOOD_NAMES
@@ -41,7 +39,6 @@ MAX_PICTURED = 4000
 """Largest number of vehicles in one picture. If there are more vehicles, all outliers but only a
 sample of the other vehicles are drawn."""
 CALM = "Nothing stands out"
-PICTURES = ("vehicles", "types", "groups", "never")
 Rows = list[dict[str, Any]]
 
 
@@ -167,7 +164,8 @@ def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
         found["groups"] = draw.groups_picture(analysis["groups"])
     if analysis["never_usable"]:
         found["never"] = draw.reasons_picture(analysis["never_usable"])
-    return {name: address_of(found[name]) if name in found else "" for name in PICTURES}
+    pictures = ("vehicles", "types", "groups", "never")
+    return {name: address_of(found[name]) if name in found else "" for name in pictures}
 
 
 def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:

@@ -23,9 +23,6 @@ MAX_LINES = 20
 """Largest number of batches or types in a picture."""
 COLUMNS = 90
 """Characters that fit side by side below a picture of the page's width."""
-SHOWN = 98.0
-"""If outliers are much larger than other values, this percentile of the sizes determines the range
-of an axis."""
 
 
 def vehicles_picture(vehicles: Sequence[Row]) -> str:
@@ -73,7 +70,18 @@ def groups_picture(groups: Sequence[Row]) -> str:
     labels = [
         f"{g['name']} ({g['vehicles']})" + (" *" if g["verdict"] == "bad" else "") for g in judged
     ]
-    return _intervals(judged, labels, "d_{}_deg", "ci95_{}_deg", "difference from its types [deg]")
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(1, 3, sharey=True)
+        for ax, axis in zip(axes, AXES, strict=True):
+            effect = np.array([g[f"d_{axis}_deg"] for g in judged], dtype=float)
+            half = np.array([g[f"ci95_{axis}_deg"] for g in judged], dtype=float)
+            ax.axvline(0.0, color="#888888", linewidth=0.7)
+            _bars(ax, effect, half, axis, 1)
+            ax.set_xlabel(f"{AXES[axis]} difference from its types [deg]")
+        _labelled(axes[0], labels)
+
+    return drawn(draw, (9.6, 1.1 + 0.24 * len(judged)))
 
 
 def types_picture(types: Sequence[Row]) -> str:
@@ -98,22 +106,6 @@ def types_picture(types: Sequence[Row]) -> str:
         figure.legend(*names, ncols=3, loc="outside upper center")
 
     return drawn(draw, (9.6, 1.6 + 0.34 * len(shown)))
-
-
-def _intervals(
-    rows: Sequence[Row], labels: Sequence[str], value: str, half: str, title: str
-) -> str:
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots(1, 3, sharey=True)
-        for ax, axis in zip(axes, AXES, strict=True):
-            numbers = np.array([r[value.format(axis)] for r in rows], dtype=float)
-            width = np.array([r[half.format(axis)] for r in rows], dtype=float)
-            ax.axvline(0.0, color="#888888", linewidth=0.7)
-            _bars(ax, numbers, width, axis, 1)
-            ax.set_xlabel(f"{AXES[axis]} {title}")
-        _labelled(axes[0], labels)
-
-    return drawn(draw, (9.6, 1.1 + 0.24 * len(rows)))
 
 
 def _bars(ax: Axes, value: Any, width: Any, axis: str, k: int) -> None:

@@ -17,7 +17,8 @@ from imucald.fleet.tables import read_with_parts
 from imucald.fleet.task import EVALUATE, OK, LogLimits, Task
 
 SAMPLE = 20
-"""Number of first logs whose outcomes show whether the whole run is wrong (`driver.ALL_ALIKE`)."""
+"""If this number of first logs all fail for the same reason, the run is aborted: the cause is not
+in the logs."""
 Redo = Literal["nothing", "failed", "config", "all"]
 
 
@@ -58,7 +59,7 @@ class Plan(msgspec.Struct):
 
 def known_sources(store: Store) -> dict[str, Known]:
     """Return the known results by address, from the tables. An address is missing if its row was
-    lost with a damaged file (`damaged`)."""
+    lost with a damaged file (`set_damaged_aside`)."""
     table = read_tables(store, ("sources",))["sources"]
     names = ("source", "fingerprint", "run_key", "outcome", "log_key")
     columns = [table.column(n).to_pylist() for n in names]

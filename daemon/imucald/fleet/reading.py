@@ -1,10 +1,11 @@
-"""Analyse the folder of a fleet: read the table `drives`, and write the tables under
-`analysis/`."""
+"""Analyse the folder of a fleet: read the table `drives`, and write the tables under `analysis/`.
+The texts about these tables stand here too."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 import pyarrow as pa
@@ -12,10 +13,12 @@ import pyarrow.compute as pc
 
 from imucald.api.recorder import SHIFT
 from imucald.core.errors import ImucaldError
+from imucald.core.text import clock, counted
 from imucald.fleet.analysis.analyse import GROUPS, analysed
 from imucald.fleet.analysis.causes import UNKNOWN
+from imucald.fleet.analysis.remounts import LEAST_PAIRS
 from imucald.fleet.analysis_columns import ANALYSIS
-from imucald.fleet.columns import TABLES
+from imucald.fleet.columns import COVARIANCES, QUATERNION, TABLES
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.store import Store
 from imucald.fleet.tables import as_parquet, main_file, read_file, table_of
@@ -24,14 +27,11 @@ from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 
 NEEDED = (
     *("log_key", "vehicle", "vehicle_type", "sensor_serial", "sensor_batch", "firmware"),
-    *("start", "end", "date", "state", "first_usable_s", "q_w", "q_x", "q_y", "q_z"),
-    *(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
+    *("start", "end", "date", "state", "first_usable_s", *QUATERNION, *COVARIANCES),
     *("crown_std_deg", "driving_side", "waiting_roll", "waiting_pitch", "waiting_yaw", "causes"),
     "diagnosed",
 )
 """Columns of `drives` that the analysis reads."""
-OF_SHIFT = ("log_key", "vehicle", "time", "t_s", "d_x_deg", "d_y_deg", "d_z_deg")
-"""Columns of `events` that the analysis reads for moves within a drive."""
 
 
 def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
@@ -41,7 +41,8 @@ def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.
         raise ImucaldError(f"--group {wrong[0]}: the drives table has no text column of this name")
     tables_read = read_tables(store, ("drives", "events"))
     drives, events = tables_read["drives"], tables_read["events"]
-    moved = plain_columns(events.filter(pc.equal(events.column("kind"), SHIFT)), OF_SHIFT)
+    of_shift = ("log_key", "vehicle", "time", "t_s", "d_x_deg", "d_y_deg", "d_z_deg")
+    moved = plain_columns(events.filter(pc.equal(events.column("kind"), SHIFT)), of_shift)
     shifts = [dict(zip(moved, row, strict=True)) for row in zip(*moved.values(), strict=True)]
     rows = analysed(plain_columns(drives, (*NEEDED, *groups)), groups, shifts)
     tables = {name: table_of(name, rows[name], ANALYSIS[name]) for name in ANALYSIS}
@@ -161,3 +162,51 @@ def present_mounts(
         for v in sorted(vehicles, key=lambda v: v["vehicle"])
         if v["vehicle"] in last
     ]
+
+
+def names_of(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return the names of the vehicles in rows, each once, in order: "car-1, car-3"."""
+    names = list(dict.fromkeys(str(row["vehicle"]) for row in rows))
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" * (len(names) > 5))
+
+
+def time_text(time: datetime | None, key: str) -> str:
+    """Return a time from a table as text, or `key` (the key of the drive) if there is no time."""
+    return f"{time:%Y-%m-%d %H:%M}" if time else key
+
+
+def when_moved(row: Mapping[str, Any]) -> str:
+    """Return a text about the time when a sensor was moved. row: row of `analysis/remounts`."""
+    before = time_text(row["before"], row["before_log_key"])
+    if row["found_s"] is None:
+        return f"between {before} and {time_text(row['after'], row['after_log_key'])}"
+    return f"within the drive of {before}, found after {clock(row['found_s'])}"
+
+
+def why_not_known(vehicles: Iterable[Mapping[str, Any]]) -> str:
+    """Return the reason why moves between drives could not be found; "" if they could be found.
+    vehicles: rows of `analysis/vehicles`."""
+    pairs = sum(max(v["drives"] - 1 - v["drives_unordered"], 0) for v in vehicles)
+    if pairs >= LEAST_PAIRS:
+        return ""
+    return (
+        f"too few drives: {pairs} of the {LEAST_PAIRS} pairs of successive drives of a vehicle "
+        "(with known mounts) that show how drives differ without a move"
+    )
+
+
+def unordered_words(vehicles: Iterable[Mapping[str, Any]]) -> str:
+    """Return a text about drives without an order (their number and vehicles); "" if all drives
+    have an order.
+
+    vehicles: rows of `analysis/vehicles`.
+    """
+    mine = [v for v in vehicles if v["drives_unordered"]]
+    if not mine:
+        return ""
+    count = counted(sum(v["drives_unordered"] for v in mine), "drive")
+    return (
+        f"{count} without an order in time ({names_of(mine)}): overlapping an earlier drive of the "
+        "vehicle, or without a time. Moves before them cannot be found. Are the loggers' clocks "
+        "right?"
+    )

@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 import pyarrow as pa
 
-from imucald.api.columns import EVENTS, HISTORY, RAW, Columns, TableColumn
+from imucald.api.columns import EVENTS, HISTORY, RAW, Columns
 from imucald.api.drive import DriveResult
 from imucald.api.interchange import to_arrow
 from imucald.fleet.drive_row import day_of
@@ -15,15 +15,13 @@ from imucald.fleet.store import Store
 from imucald.fleet.tables import as_parquet
 from imucald.fleet.task import Task
 
-UNKNOWN_DAY = "unknown"
-
 
 def write_signals(drive: DriveResult, task: Task, key: str, start: float | None) -> None:
     """Write the files signals/NAME/vehicle=V/date=D/KEY.parquet. The same log gives the same
     files."""
     store = Store(task.signals or "", task.storage)
     vehicle = quote(task.vehicle, safe="")
-    day = day_of(start) or task.date or UNKNOWN_DAY
+    day = day_of(start) or task.date or "unknown"
     for name, table in drive.tables.items():
         if name not in (EVENTS, HISTORY) and not name.startswith(RAW):
             place = f"signals/{name.replace('/', '_')}/vehicle={vehicle}/date={day}/{key}.parquet"
@@ -34,10 +32,8 @@ def write_signals(drive: DriveResult, task: Task, key: str, start: float | None)
 def _single(table: pa.Table, columns: Columns) -> pa.Table:
     """Convert measured numbers to single precision, because its 24 bits exceed the resolution of
     any sensor."""
-    fields = [_narrowed(f, c) for f, c in zip(table.schema, columns.columns, strict=True)]
+    fields = [
+        field.with_type(pa.float32()) if column.kind == "float" and column.name != "t_s" else field
+        for field, column in zip(table.schema, columns.columns, strict=True)
+    ]
     return table.cast(pa.schema(fields, metadata=table.schema.metadata))
-
-
-def _narrowed(field: pa.Field, column: TableColumn) -> pa.Field:
-    measured = column.kind == "float" and column.name != "t_s"
-    return field.with_type(pa.float32()) if measured else field

@@ -14,45 +14,39 @@ Spark determines resuming, keys and the order of rows.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from imucald.api.interchange import library
 from imucald.fleet.bundle import unpack
-from imucald.fleet.columns import TABLES, Column, row_of
+from imucald.fleet.columns import TABLES, row_of, texts
 from imucald.fleet.drive_row import drive_values
 from imucald.fleet.fleet_file import Fleet, load_fleet
 from imucald.fleet.plan import Options, task_of
+from imucald.fleet.tables import table_of
 from imucald.fleet.task import LogLimits
 from imucald.fleet.workers import run_one_log
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DDL: Mapping[str, str] = {
+DDL = {
     "text": "STRING",
     "time": "TIMESTAMP",
     "float": "DOUBLE",
     "integer": "BIGINT",
     "short": "SMALLINT",
-    "flag": "BOOLEAN",
 }
-DTYPES: Mapping[str, str] = {
-    "text": "object",
-    "float": "float64",
-    "integer": "Int64",
-    "short": "Int16",
-    "flag": "boolean",
-}
-MORE = (
-    Column("source", "text", "", "address of the log"),
-    Column("outcome", "text", "", "ok, or the kind of failure"),
-    Column("message", "text", "", "reason of a failure, in words"),
+COLUMNS = (
+    *TABLES["drives"],
+    *texts(
+        source="address of the log",
+        outcome="ok, or the kind of failure",
+        message="reason of a failure, in words",
+    ),
 )
-"""Additional columns of the result. Every log has a row, even if its evaluation failed."""
-COLUMNS = (*TABLES["drives"], *MORE)
+"""Columns of the result. Every log has a row, even if its evaluation failed."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,8 @@ class SparkFleet:
         log is the output."""
         unpack(self.fleet.bundles)
         for frame in frames:
-            yield _frame([self._row(str(source)) for source in frame["source"]])
+            rows = [self._row(str(source)) for source in frame["source"]]
+            yield table_of("drives", rows, COLUMNS).to_pandas(integer_object_nulls=True)
 
     def _row(self, source: str) -> dict[str, Any]:
         task = task_of(self.fleet, source, 0, self.options)
@@ -87,18 +82,3 @@ class SparkFleet:
             values = drive_values(self.fleet, task, outcome.log_key, outcome.drive)
         row = row_of("drives", {**values, "run_key": task.bundle, "log_key": outcome.log_key})
         return {**row, "source": source, "outcome": outcome.kind, "message": outcome.message}
-
-
-def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
-    pandas = library("pandas", "pandas")
-    columns = {}
-    for column in COLUMNS:
-        values = [row[column.name] for row in rows]
-        if column.kind == "time":
-            whole = [None if v is None else round(v * 1e6) for v in values]
-            columns[column.name] = pandas.to_datetime(
-                pandas.Series(whole, dtype="Int64"), unit="us", utc=True
-            )
-        else:
-            columns[column.name] = pandas.Series(values, dtype=DTYPES[column.kind])
-    return pandas.DataFrame(columns)

@@ -26,10 +26,8 @@ TYPES: Mapping[str, pa.DataType] = {
     "text": pa.string(),
     "time": pa.timestamp("us", "UTC"),
     "float": pa.float64(),
-    "float32": pa.float32(),
     "integer": pa.int64(),
     "short": pa.int16(),
-    "int8": pa.int8(),
     "flag": pa.bool_(),
 }
 ROW_GROUP = 25_000
@@ -39,6 +37,8 @@ WRITING: Final[dict[str, Any]] = {
     "compression_level": 3,
     "write_page_checksum": True,
 }
+ASIDE = "_damaged"
+"""Folder for damaged files. Readers of tables ignore this folder."""
 PART = "part-"
 REMEDY = "run' renames it and evaluates its logs again"
 
@@ -214,3 +214,31 @@ class FinishedRows:
                 place, part.schema.field(name), values.slice(first, stop - first)
             )
         return part
+
+
+def set_damaged_aside(store: Store) -> list[str]:
+    """Move damaged files of the tables to the folder `ASIDE`. Return one line of text for each
+    file. Only the holder of the lease may call this function.
+
+    If a file of `events` is damaged, the rows of `drives` from the same flush are moved too. Then
+    `known_sources` does not find the logs of these rows, and the logs are evaluated again.
+    """
+    said = []
+    for table in TABLES:
+        for number, name in parts(store, table):
+            try:
+                read_file(store, name, TABLES[table])
+            except DamagedTableError as error:
+                said.append(f"{error.reason}; the file is renamed to {_set_aside(store, name)}")
+                if table == "events":
+                    for _, other in (p for p in parts(store, "drives") if p[0] == number):
+                        _set_aside(store, other)
+    return said
+
+
+def _set_aside(store: Store, name: str) -> str:
+    number = len(store.names(ASIDE, "")) + 1
+    aside = f"{ASIDE}/{number:03}-{name.replace('/', '-')}"
+    store.write(aside, store.read(name))
+    store.remove(name)
+    return aside

@@ -91,8 +91,3 @@ class Outcome(msgspec.Struct, frozen=True):
     drive: dict[str, Any] | None = None
     events: list[dict[str, Any]] = []
     cost: Cost = Cost()
-
-
-def encoded(value: Task | Outcome) -> bytes:
-    """Return a task or outcome as JSON."""
-    return msgspec.json.encode(value)

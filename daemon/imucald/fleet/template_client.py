@@ -15,12 +15,18 @@ from typing import ClassVar
 import msgspec
 
 from imucald.core.errors import ImucaldError
-from imucald.fleet.process_limits import FOR_CHILDREN
-from imucald.fleet.task import Outcome, Task, encoded
+from imucald.fleet.task import Outcome, Task
 
 STARTING_S = 120.0
 """Longest wait for the start of a template process [s]. Its imports usually take less than a
 second, but packages in a shared folder may be slow."""
+FOR_CHILDREN = {
+    "OMP_NUM_THREADS": "1",  # logs run in parallel, not their arithmetic
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",  # other pools map 1 GiB at once
+}
+"""Environment variables for child processes."""
 
 
 class Template:
@@ -47,7 +53,7 @@ class Template:
             with theirs:
                 self._send(theirs)
             with suppress(OSError):
-                ours.sendall(encoded(task))
+                ours.sendall(msgspec.json.encode(task))
                 ours.shutdown(socket.SHUT_WR)
             answer = b"".join(iter(lambda: _received(ours), b""))
         try:

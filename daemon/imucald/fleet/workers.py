@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import queue
 import socket
-import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from typing import Any, Protocol
 
@@ -22,15 +21,13 @@ from imucald.fleet.bundle import Bundle, unpack
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.template_client import close_templates, template_for
 
-NO_UTF8 = "a file or folder name in it is not UTF-8; rename it"
-DEATHS = "its worker process ended several times while this log was evaluated or waiting"
-
 
 def run_one_log(task: Task) -> Outcome:
     """Evaluate one log in a child of this process. Always returns an outcome and never raises an
     error."""
     if encodable(task.source) != task.source:  # it cannot be sent to the child as JSON
-        return Outcome("unreadable", f"{encodable(task.source)}: {NO_UTF8}")
+        text = f"{encodable(task.source)}: a file or folder name in it is not UTF-8; rename it"
+        return Outcome("unreadable", text)
     outcome = template_for(task.function).run(task)
     cost = msgspec.structs.replace(outcome.cost, worker=socket.gethostname())
     return msgspec.structs.replace(outcome, cost=cost)
@@ -66,26 +63,14 @@ class Workers(Protocol):
         ...
 
 
-class AnyFuture(Protocol):
-    """Common interface of the futures of the standard library and of Dask."""
-
-    def add_done_callback(self, fn: Callable[[Any], object], /) -> object:
-        """Call `fn` with the future when it ends."""
-        ...
-
-    def cancel(self) -> object:
-        """Cancel the task if it has not begun."""
-        ...
-
-
 class Futures:
-    """The pending and finished futures of tasks."""
+    """The pending and finished futures of tasks, of the standard library or of Dask."""
 
     def __init__(self) -> None:
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._tasks: dict[int, tuple[Any, Task]] = {}
 
-    def add_future(self, future: AnyFuture, task: Task) -> None:
+    def add_future(self, future: Any, task: Task) -> None:
         """Wait for a task's future."""
         self._tasks[id(future)] = future, task
         future.add_done_callback(self._ended.put)
@@ -154,11 +139,6 @@ def outcome_of(future: Any) -> Outcome | None:
     except CancelledError:
         return None
     except Exception as error:  # of the executor itself, such as KilledWorker
-        return Outcome("crashed", f"{DEATHS}: {type(error).__name__}")
+        text = "its worker process ended several times while this log was evaluated or waiting"
+        return Outcome("crashed", f"{text}: {type(error).__name__}")
     return found
-
-
-def unique_keys(count: int) -> list[str]:
-    """Return unique keys for Dask tasks. The path of a log is not used as a key, because Dask would
-    return the old result for an equal key."""
-    return [f"imucald-log-{uuid.uuid4().hex}" for _ in range(count)]

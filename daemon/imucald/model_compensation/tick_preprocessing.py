@@ -27,8 +27,8 @@ from imucald.model_compensation.filters import SuspensionFilter
 from imucald.model_compensation.held_repeats import HeldRepeats
 from imucald.model_compensation.lever_arm_and_suspension import less_suspension_rate, on_road
 from imucald.motion import ticks as tk
-from imucald.motion.stuck import SAME
 from imucald.motion.column_ticks import TickAccumulator
+from imucald.motion.stuck import SAME
 from imucald.motion.ticks import TICK_RATE, TICK_S
 from imucald.mount.estimate import Correction
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from traceback import extract_tb
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,30 +78,6 @@ class Consumer(Protocol):
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
         """Return key and content of the result."""
-        ...
-
-
-@runtime_checkable
-class ChecksSensors(Protocol):
-    """A consumer with a sensor check that can be repeated and saved."""
-
-    @property
-    def checked(self) -> bool:
-        """True if the check has been completed, in this drive or in an earlier drive."""
-        ...
-
-    def check_sensors(self) -> None:
-        """Repeat the check at the next standstill that is long enough."""
-        ...
-
-    def saved_check(self) -> Mapping[str, Any] | None:
-        """Return the result of the check for the saved state (sensor axes, SI); None before the
-        check."""
-        ...
-
-    def restore_check(self, saved: object) -> None:
-        """Use the result of a sensor check of an earlier drive. saved: the result as `saved_check`
-        gave it; an implausible result is ignored. It is applied as soon as a mount is known."""
         ...
 
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.arrays import distinct
-from imucald.core.errors import EstimateError
 from imucald.core.rotations import times_level
 from imucald.inputs.column_samples import Routed
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
@@ -52,7 +51,8 @@ class Engine:
 
     on_snapshot: called with every snapshot of the estimate (for the terminal and for saved states).
     link_health: returns the health of the link for each health frame. consumers: calculations on
-    the same samples. new_estimator: function that creates the estimator for `restart_calibration`.
+    the same samples. new_estimator: function that creates an estimator that has learnt nothing; it
+    starts with the mount of the configuration, if there is one.
     preprocessing: removes the signal effects that a model file states. on_samples: called by
     `columns` with the uncorrected and corrected samples of every segment.
     """
@@ -60,13 +60,12 @@ class Engine:
     def __init__(
         self,
         router: Router,
-        estimator: MountEstimator,
+        new_estimator: Callable[[], MountEstimator],
         output: OutputFrames,
         status_rate: int = 1,
         on_snapshot: Callable[[Snapshot], None] | None = None,
         link_health: Callable[[], LinkHealth] = LinkHealth,
         consumers: Sequence[Consumer] = (),
-        new_estimator: Callable[[], MountEstimator] | None = None,
         preprocessing: PreprocessingChain | None = None,
         on_samples: Callable[[SegmentSamples], None] | None = None,
     ) -> None:
@@ -75,7 +74,8 @@ class Engine:
         self.preprocessing = preprocessing
         ticks = None if preprocessing is None else preprocessing.ticks
         health = SampleHealth(router.measured_axes)
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), ticks, health)
+        self.new_estimator = new_estimator
+        self.pipeline = Pipeline(new_estimator(), round(TICK_RATE / status_rate), ticks, health)
         self.timebase = TimeBase()
         self._group = ConsumerGroup(consumers)
         self.sent = 0
@@ -83,7 +83,6 @@ class Engine:
         self._on_snapshot = on_snapshot
         self._on_samples = on_samples
         self._link_health = link_health
-        self._new_estimator = new_estimator
         self._spaced = {
             c: Spaced(guarded_cycle(router.cycles(c))) for c in output.triads
         }  # frames not available: one a cycle
@@ -276,16 +275,6 @@ class Engine:
         """
         self.pipeline.health.forget_rails()
         return self.pipeline.replace(self.new_estimator(), afresh=True)
-
-    def new_estimator(self) -> MountEstimator:
-        """Return a new estimator that has learnt nothing. If the configuration states a mount, the
-        estimator starts with this mount.
-
-        Raises EstimateError if the engine has no function `new_estimator`.
-        """
-        if self._new_estimator is None:
-            raise EstimateError("this engine cannot make a new estimator")
-        return self._new_estimator()
 
     def resume_calibration(self, former: MountEstimator) -> None:
         """Use an estimator again that `restart_calibration` returned. The estimator continues with

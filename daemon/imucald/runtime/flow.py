@@ -61,16 +61,16 @@ def alarms_of(health: Mapping[str, object]) -> dict[str, str]:
     return {name: words for name, words in ALARMS.items() if health.get(name)}
 
 
-SERVED = {1: "restored", 2: "usable", 3: "fine"}
-"""Qualities of corrected frames that a receiver may use, with their names, in rising order."""
-SUSPECT = 4
+QUALITIES = ("not_available", "restored", "usable", "fine", "suspect")
+"""Names of the qualities of corrected frames, by number."""
 
 
 class FlowKind(StrEnum):
     """What a receiver on the bus gets now, as `flow` of `imucald status --json` names it."""
 
     SERVED = "good"
-    """Corrected frames with a quality of `SERVED`. Here alone "good" includes *restored*."""
+    """Corrected frames that are marked *restored*, *usable* or *fine*. Here alone "good" includes
+    *restored*."""
     STARTING = "starting"
     """No frames yet: the daemon started a moment ago."""
     NOT_YET = "not yet"
@@ -95,7 +95,7 @@ class Flow(Struct, frozen=True):
 
 def flow(status: Mapping[str, Any]) -> Flow:
     """Return what a receiver on the bus gets now. status: status of a daemon (docs/service.md)."""
-    state, quality = status["state"], status["quality"]
+    state, quality = status["state"], QUALITIES[status["quality"]]
     if (cause := _why_none(status)) is not None:
         return Flow(FlowKind.NONE, f"{cause}: no corrected frames (mount: {state})")
     if "id_conflict" in present_alarms(status):
@@ -106,13 +106,11 @@ def flow(status: Mapping[str, Any]) -> Flow:
     if "accelerometer_faulty" in present_alarms(status):
         text = "ACCELEROMETER FAULTY: corrected frames say 'not available'"
         return Flow(FlowKind.FAULTY, f"{text} (mount: {state})")
-    if quality == SUSPECT:
-        return Flow(
-            FlowKind.SUSPECT,
-            f"SUSPECT: corrected frames are sent and marked suspect (mount: {state})",
-        )
-    if quality in SERVED:
-        return Flow(FlowKind.SERVED, f"corrected frames flow, marked {SERVED[quality]}")
+    if quality == "suspect":
+        text = f"SUSPECT: corrected frames are sent and marked suspect (mount: {state})"
+        return Flow(FlowKind.SUSPECT, text)
+    if quality != "not_available":
+        return Flow(FlowKind.SERVED, f"corrected frames flow, marked {quality}")
     when = "not yet" if status.get("first_usable_s") is None else "not certain any more"
     return Flow(FlowKind.NOT_YET, f"{when}: corrected frames say 'not available' (mount: {state})")
 

@@ -198,20 +198,15 @@ class MountOrders:
 
 
 def _not_on_the_disk(reason: str) -> str:
-    """Return the text for a saved mount that could not be removed from the disk."""
-    if not reason:
-        return ""
-    return (
-        f"; NOT SAVED YET ({reason}): a restart would bring the former mount back. imucald tries "
-        "to remove the saved state every 10 s"
-    )
+    return _unsaved(reason, "bring the former mount back", "remove the saved state")
 
 
 def _not_saved(reason: str) -> str:
-    """Return the text for a mount that could not be saved after an order."""
+    return _unsaved(reason, "undo this order", "save it")
+
+
+def _unsaved(reason: str, danger: str, remedy: str) -> str:
     if not reason:
         return ""
-    return (
-        f"; NOT SAVED YET ({reason}): a restart would undo this order. imucald tries to save it "
-        "every 10 s"
-    )
+    text = f"; NOT SAVED YET ({reason}): a restart would {danger}"
+    return f"{text}. imucald tries to {remedy} every 10 s"

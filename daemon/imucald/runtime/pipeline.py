@@ -12,7 +12,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct, field
@@ -39,6 +39,9 @@ from imucald.mount.estimate import (
     MountEstimator,
     MountState,
 )
+
+if TYPE_CHECKING:
+    from imucald.model_compensation.tick_preprocessing import TickPreprocessing
 
 FEW_TICKS = 3
 """Up to this number of ticks, each tick is processed alone."""
@@ -124,18 +127,6 @@ class TickCorrections(Struct, frozen=True, dict=True):
         return np.array(self.qualities, dtype=np.uint8)
 
 
-class TickPreprocessor(Protocol):
-    """Changes the rows of ticks before the estimator processes them."""
-
-    def row(self, row: TickRow, correction: Correction | None) -> TickRow:
-        """Return the tick for the estimator. correction: the correction applied during the tick."""
-        ...
-
-    def gap(self) -> None:
-        """Process a jump of time: data from before the jump are not combined with later data."""
-        ...
-
-
 class Pipeline:
     """Collects the samples of one sensor in ticks, passes the ticks to the estimator, and stores
     the corrections.
@@ -149,7 +140,7 @@ class Pipeline:
         self,
         estimator: MountEstimator,
         status_ticks: int = 10,
-        preprocessor: TickPreprocessor | None = None,
+        preprocessor: TickPreprocessing | None = None,
         health: SampleHealth | None = None,
     ) -> None:
         self.estimator = estimator

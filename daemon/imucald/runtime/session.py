@@ -72,13 +72,12 @@ def make_engine(
     derived = config.signals.speed is None
     return Engine(
         router,
-        new_estimator(),
+        new_estimator,
         output,
         config.output.status_rate,
         on_snapshot,
         link_health,
         _consumers(loaded, output, router.resolution("gyro")),
-        new_estimator,
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -78,13 +78,8 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
         for i, name in enumerate(ANGLES)
     }
     result["quaternion_wxyz"] = None if quaternion is None else [round(q, 8) for q in quaternion]
-    result["std_deg"] = {
-        axis: _degrees(None if std is None else std[i]) for i, axis in enumerate("xyz")
-    }
-    of_angles = estimate.angle_std
-    result["angle_std_deg"] = {
-        name: _degrees(None if of_angles is None else of_angles[i]) for i, name in enumerate(ANGLES)
-    }
+    result["std_deg"] = _deviations("xyz", std)
+    result["angle_std_deg"] = _deviations(ANGLES, estimate.angle_std)
     covariance = estimate.covariance
     result["covariance_deg2"] = (
         None
@@ -136,6 +131,12 @@ def correction_dict(estimate: MountEstimate) -> dict[str, Any] | None:
     }
 
 
+def _deviations(names: Sequence[str], stds: Sequence[float] | None) -> dict[str, float | None]:
+    if stds is None:
+        return dict.fromkeys(names)
+    return {name: _degrees(std) for name, std in zip(names, stds, strict=True)}
+
+
 def _degrees(std: float | None) -> float | None:
     return None if std is None or not math.isfinite(std) else round(std * DEG_PER_RAD, 4)
 
@@ -145,10 +146,7 @@ def _for_people(estimate: MountEstimate) -> dict[str, Any]:
     these deviations."""
     found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
     found["mirrored"] = mirror_note(estimate)
-    judged = estimate.judged_std
-    found["judged_std_deg"] = {
-        axis: _degrees(None if judged is None else judged[i]) for i, axis in enumerate("xyz")
-    }
+    found["judged_std_deg"] = _deviations("xyz", estimate.judged_std)
     if (targets := estimate.targets) is not None:
         found["target_std_deg"] = {
             goal: {a: round(s * DEG_PER_RAD, 4) for a, s in zip("xyz", std, strict=True)}

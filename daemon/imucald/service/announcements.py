@@ -12,7 +12,7 @@ from imucald.core.text import counted
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.drive_events import StateChanges
 from imucald.runtime.engine import Engine
-from imucald.runtime.flow import ALARMS, PASSING, alarms_of
+from imucald.runtime.flow import ALARMS, PASSING, STARTING_S, alarms_of
 from imucald.runtime.pipeline import Snapshot
 from imucald.service.journal import INFO, NOTICE, WARNING, Journal
 
@@ -28,9 +28,6 @@ def say_idle_keys(loaded: LoadedConfig, journal: Journal) -> None:
 
 
 _STATES = frozenset(str(state) for state in LinkState)
-BUS_BURST = 20
-"""Number of lines about the bus that are written without a limit; later lines are written at a
-limited rate."""
 
 
 class Announcements:
@@ -38,7 +35,7 @@ class Announcements:
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
-        self._alarms = AlarmWatch(journal)
+        self._alarms: set[str] = set()
         self._states = StateChanges()
         self._untold_event: LinkEvent | None = None
         self._rejected = self._late = 0
@@ -58,7 +55,7 @@ class Announcements:
         if event.kind not in _STATES:
             self._journal.say(event.text, priority)
         else:  # an interface may come and go for ever
-            is_told = self._journal.seldom("bus", event.text, priority, BUS_BURST)
+            is_told = self._journal.seldom("bus", event.text, priority, burst=20)
             self._untold_event = None if is_told else event
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -80,7 +77,7 @@ class Announcements:
 
         late: number of late frames so far. uptime: uptime of the process [s].
         """
-        self._alarms.update(asdict(engine.health()), uptime)
+        self._update_alarms(asdict(engine.health()), uptime)
         event = self._untold_event
         if event is not None and self._journal.is_due("bus"):  # how the bus is after all that
             self.link_event(event)
@@ -101,28 +98,13 @@ class Announcements:
                 self._journal.seldom(f"{name} failed", text, WARNING)
         self._failures = dict(group.failures)  # counters of another group begin at zero
 
-
-START_S = 2.0
-"""During this time after the start of a run [s], no input is reported as missing."""
-
-
-class AlarmWatch:
-    """Logs a line when a health flag changes; checks the flags once a second."""
-
-    def __init__(self, journal: Journal) -> None:
-        self._journal = journal
-        self._on: set[str] = set()
-
-    def update(self, health: Mapping[str, object], uptime: float) -> None:
-        """Check the flags.
-
-        health: flags by the names of `Health`. uptime: uptime of the process [s].
-        """
-        if uptime < START_S:
+    def _update_alarms(self, health: Mapping[str, object], uptime: float) -> None:
+        """Log each change of a health flag. health: flags by the names of `Health`."""
+        if uptime < STARTING_S:
             return
         now = set(alarms_of(health)) - PASSING
-        for name in sorted(now - self._on):
+        for name in sorted(now - self._alarms):
             self._journal.seldom(f"alarm {name}", ALARMS[name], WARNING)
-        for name in sorted(self._on - now):
+        for name in sorted(self._alarms - now):
             self._journal.seldom(f"over {name}", f"{ALARMS[name]}: over", NOTICE)
-        self._on = now
+        self._alarms = now

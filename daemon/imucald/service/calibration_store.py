@@ -33,32 +33,16 @@ from imucald.service.saved_state import SavedState, StateStore
 SAVE_PERIOD_S = 10.0
 """Period between saves of a changing estimate [s]. A power cut loses at most the estimates of one
 period."""
-SAME_ANGLE = math.radians(0.002)
-"""An estimate is not saved again if it has changed by less than this angle [rad] and its variances
-have changed by less than `SAME_VARIANCE`."""
-SAME_VARIANCE = 0.01
-"""Largest relative change of a variance that is not saved (see `SAME_ANGLE`)."""
-SHIFTS_KEPT = 32
-"""Largest number of remounts of the sensor that are stored."""
 STOP_WAIT_S = 0.6
 """Longest wait for the disk when the daemon stops [s]. A stop may take one second in total."""
-
-BACK_AFTER_START = (
-    "imucald tries again until it succeeds; a restart before then would bring the old state back"
-)
-"""Text for a reset that cannot be written to the disk."""
 
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
 SENSOR = "sensor"
 """Key of the properties of the sensor itself in the evidence of a saved state."""
-_EVIDENCE: tuple[str, ...] = (
-    "evidence_std_deg",
-    "evidence_share",
-    "launches_and_brakings",
-    "left_turns",
+_EVIDENCE = (
+    *("evidence_std_deg", "evidence_share", "launches_and_brakings", "left_turns"),
+    *("right_turns", "stops", "distance", "manoeuvres"),
 )
-_EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
-
 
 SENSOR_CHECK = "sensor_check"
 """Key of the sensor check's result in the saved offsets."""
@@ -67,8 +51,7 @@ SENSOR_CHECK = "sensor_check"
 class CalibrationStore:
     """Restores an estimator from the saved state, and saves its estimates.
 
-    say: function that takes a log line and its priority. clock: monotonic [s]. wall: wall clock
-    [s].
+    say: function that takes a log line and its priority. clock: monotonic [s].
     """
 
     def __init__(
@@ -77,7 +60,6 @@ class CalibrationStore:
         say: Say,
         period: float = SAVE_PERIOD_S,
         clock: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
     ) -> None:
         self.store = store
         title = f"the state in {store.folder}"
@@ -89,7 +71,7 @@ class CalibrationStore:
         """Function that returns the result of the sensor check to save with the mount, or None."""
         self._say = say
         self._period = period
-        self._clock, self._wall = clock, wall
+        self._clock = clock
         self._last = SavedState((), (), "usable")
         self._known = False  # whether `_last` is a state
         self._last_put = -math.inf
@@ -203,10 +185,10 @@ class CalibrationStore:
         if estimator.state in BAD:
             if self._is_saved_as_doubted(estimator) and not self._is_check_new:
                 return
-            shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
+            shift = {"at": round(time.time(), 1), "driven_s": round(driven_s, 1)}
             shifts = (*self._last.shifts, *(() if self._last.doubted else (shift,)))
             doubted = replace(
-                self._last, doubted=True, doubt=doubt_of(estimator), shifts=shifts[-SHIFTS_KEPT:]
+                self._last, doubted=True, doubt=doubt_of(estimator), shifts=shifts[-32:]
             )
             self._last = self._with_check(doubted)
         else:
@@ -215,7 +197,7 @@ class CalibrationStore:
                 saved: SavedState | None = self._last
             else:
                 stored = mount_in_force(estimator) if is_open else None
-                saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts, stored)
+                saved = saved_state(estimator, driven_s, time.time(), self._last.shifts, stored)
             if saved is None:
                 return
             saved = self._with_check(saved)
@@ -235,8 +217,9 @@ class CalibrationStore:
         return is_same and not self.writer.last_error
 
     def _is_saved(self, state: SavedState) -> bool:
-        """Return whether the state is nearly equal to the saved state. Equal states are not saved
-        again, so that a standing vehicle does not wear out the memory.
+        """Return whether the state is equal to the saved state within 0.002 deg and 1 % of the
+        variances. Equal states are not saved again, so that a standing vehicle does not wear out
+        the memory.
         """
         if not self._known or self.writer.last_error:
             return False
@@ -246,7 +229,7 @@ class CalibrationStore:
         moved = np.abs(np.subtract(state.rotation, then.rotation)).max()
         variance, before = (np.array(s.covariance)[::4] for s in (state, then))
         firmer = np.abs(variance / before - 1.0).max()
-        return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
+        return same and bool(moved < math.radians(0.002) and firmer < 0.01)
 
     def forget(self) -> str:
         """Forget the saved state: its files are renamed and not loaded again.
@@ -263,7 +246,11 @@ class CalibrationStore:
             self.store.forget()
         except OSError as error:
             reason = error.strerror or str(error)
-            self._say(f"the saved state could not be removed: {error}; {BACK_AFTER_START}", WARNING)
+            text = (
+                f"the saved state could not be removed: {error}; imucald tries again until it "
+                "succeeds; a restart before then would bring the old state back"
+            )
+            self._say(text, WARNING)
         self._is_forgetting = bool(reason)
         self.writer.put((self.store.era, None))
         return reason
@@ -277,7 +264,7 @@ class CalibrationStore:
         state = None
         if stored is not None:
             driven_s += self._driven_before
-            state = saved_state(estimator, driven_s, self._wall(), self._last.shifts, stored)
+            state = saved_state(estimator, driven_s, time.time(), self._last.shifts, stored)
         if state is not None:
             self._last, self._known = self._with_check(state), True
             self._last_put, self._before = self._clock(), estimator.state

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import DecodeError, Meta, Struct
 from msgspec.json import Decoder
@@ -24,7 +24,6 @@ from imucald.service.background_writer import Say
 from imucald.service.journal import WARNING
 from imucald.service.line_server import ROOT, LineServer, Peer
 
-OWNER_ONLY = 0o600
 BURST = 5
 """Largest number of requests that are accepted without a pause; afterwards one per `PERIOD_S`."""
 PERIOD_S = 1.0
@@ -33,31 +32,16 @@ creates a new estimator.
 """
 
 
-class Order(Struct, forbid_unknown_fields=True, tag_field="order"):
-    """An order. sudo_user: the user who gave the order as root with sudo."""
+class Order(Struct, forbid_unknown_fields=True):
+    """An order (see `MountOrders`). sudo_user: the user who gave the order as root with sudo.
+    mount: for `set-mount` only."""
 
+    order: Literal["reset", "hold", "release", "set-mount"]
     sudo_user: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]{1,32}$")] | None = None
-
-
-class ResetOrder(Order, tag="reset"):
-    """Forget the learnt mount and begin again."""
-
-
-class HoldOrder(Order, tag="hold"):
-    """Hold the present mount; the estimator does not change it."""
-
-
-class ReleaseOrder(Order, tag="release"):
-    """End the hold; the mount is estimated again."""
-
-
-class SetMountOrder(Order, tag="set-mount"):
-    """Use the mount that is stated in the order."""
-
     mount: KnownMount | None = None
 
 
-_DECODER = Decoder(ResetOrder | HoldOrder | ReleaseOrder | SetMountOrder)
+_DECODER = Decoder(Order)
 
 
 class ControlServer(LineServer):
@@ -73,7 +57,7 @@ class ControlServer(LineServer):
         say: Say,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(path, OWNER_ONLY, self._answer, clock, say=say)
+        super().__init__(path, 0o600, self._answer, clock, say=say)
         self._orders = orders
         self._say = say
         self._left, self._at = float(BURST), clock()
@@ -107,16 +91,15 @@ class ControlServer(LineServer):
 
     def _carried_out(self, order: Order, peer: Peer) -> str:
         who = _name(peer, order.sudo_user)
-        match order:
-            case ResetOrder():
-                return self._orders.reset(who)
-            case HoldOrder():
-                return self._orders.hold(who)
-            case ReleaseOrder():
-                return self._orders.release(who)
-            case SetMountOrder(mount=KnownMount() as mount):
-                return self._orders.set_mount(mount, who)
-        raise ImucaldError("set-mount needs a mount")
+        if order.order == "set-mount":
+            if order.mount is None:
+                raise ImucaldError("set-mount needs a mount")
+            return self._orders.set_mount(order.mount, who)
+        if order.mount is not None:
+            raise ImucaldError(f"{order.order} takes no mount")
+        orders = self._orders
+        carry_out = {"reset": orders.reset, "hold": orders.hold, "release": orders.release}
+        return carry_out[order.order](who)
 
     def _refused(self, text: str, peer: Peer) -> bytes:
         self._say(f"an order of {_name(peer)} was refused: {text}", WARNING)

@@ -14,10 +14,10 @@ from imucald.core.errors import LinkError
 from imucald.core.text import encodable
 from imucald.service.asking import ask
 
+METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+"""Media type of Prometheus text."""
 UP = "imucald_up"
 _BUS = re.compile(r'[{,]bus="((?:[^"\\]|\\.)*)"')
-ASK_S = 2.0
-"""Longest time in which a daemon must answer [s]."""
 
 
 def bus_of(socket: Path) -> str:
@@ -38,7 +38,7 @@ def gathered(sockets: Iterable[Path]) -> str:
     absent = []
     for path in sockets:
         try:
-            texts[path] = ask(path, "metrics", ASK_S)
+            texts[path] = ask(path, "metrics", 2.0)
         except LinkError:
             absent.append(path)
     given = {path: _label(text) for path, text in texts.items()}

@@ -20,8 +20,6 @@ ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 """Priorities of syslog."""
 LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
 PRIORITIES = {word: priority for priority, word in LEVELS.items()}
-EVENTS_KEPT = 200
-"""Number of log lines that `imucald events` shows. The system's journal contains all lines."""
 SELDOM_S = 30.0
 """Shortest time between two lines of a kind that may repeat without end [s]."""
 LINE_BYTES = 4000
@@ -51,12 +49,10 @@ class Journal:
         stream: TextIO | None = None,
         environment: Mapping[str, str] | None = None,
         clock: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
         level: int = INFO,
     ) -> None:
-        self.events: deque[LogEvent] = deque(maxlen=EVENTS_KEPT)
-        """The newest log lines; the oldest of them is first."""
-        self._wall = wall
+        self.events: deque[LogEvent] = deque(maxlen=200)
+        """The newest log lines, the oldest first. The system's journal contains all lines."""
         self.dropped = 0
         """Number of lines that could not be written."""
         self._untold = 0
@@ -72,7 +68,7 @@ class Journal:
     def say(self, text: str, priority: int = INFO) -> None:
         """Write a line."""
         line = made_safe(" ".join(text.split()))
-        self.events.append(LogEvent(round(self._wall(), 3), LEVELS[priority], line[:LINE_BYTES]))
+        self.events.append(LogEvent(round(time.time(), 3), LEVELS[priority], line[:LINE_BYTES]))
         if priority > self._level:
             return
         if self._untold and self._write(

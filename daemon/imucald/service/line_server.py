@@ -28,15 +28,11 @@ KEPT_FOR_OWNER = 4
 """Number of additional clients that are reserved for root and the daemon's own user."""
 ROOT = 0
 BACKLOG = 128
-"""Largest number of clients that wait until the loop accepts them."""
-ACCEPTED_MAX = BACKLOG
-"""Largest number of clients accepted in one turn of the loop; the others wait for the next turn."""
+"""Largest number of clients that wait until the loop accepts them, in one turn."""
 CLIENT_S = 1.0
 """Longest time in which a client must send its request and read the answer [s]."""
 REQUEST_MAX = 4096
 """Longest request [bytes]."""
-SEND_BUFFER = 1 << 18
-"""Send buffer for an answer that is requested from the kernel [bytes]."""
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -77,7 +73,6 @@ class LineServer:
         mode: int,
         answer: Callable[[bytes, Peer], bytes],
         clock: Callable[[], float] = time.monotonic,
-        option: str = "--status-socket",
         say: Say = nobody_listens,
     ) -> None:
         self.path = path
@@ -98,7 +93,8 @@ class LineServer:
         except OSError as error:
             self._socket.close()
             reason = error.strerror or str(error)
-            raise LinkError(f"socket {path}: {reason}; name another socket with {option}") from None
+            text = f"socket {path}: {reason}; name another socket with --status-socket"
+            raise LinkError(text) from None
         self._socket.setblocking(False)
 
     def poll(self) -> None:
@@ -108,7 +104,7 @@ class LineServer:
         this property.
         """
         with contextlib.suppress(OSError):
-            for _ in range(ACCEPTED_MAX):
+            for _ in range(BACKLOG):
                 connection, _address = self._socket.accept()
                 self._take(connection)
         if self._clients:
@@ -121,7 +117,7 @@ class LineServer:
             return
         connection.setblocking(False)
         with contextlib.suppress(OSError):
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         self._clients.append(_Client(connection, peer, self._clock() + CLIENT_S))
 
     def _has_place(self, uid: int) -> bool:

@@ -12,8 +12,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 from imucald.core.errors import LinkError
-
-BACKLOG = 128
+from imucald.service.line_server import BACKLOG
 
 
 def listening_at(address: str) -> socket.socket:

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.link.link import Frame, Link, LinkEvent
@@ -20,8 +20,10 @@ from imucald.can.link.port import MAX_HOLD
 from imucald.config import LoadedConfig
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
-from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
+
+if TYPE_CHECKING:
+    from imucald.service.uds_on_bus import BusUds
 
 WAIT_S = 0.05
 """Longest wait for a frame [s]. This time limits the delay until a silent bus or a stop is
@@ -91,35 +93,11 @@ class _Recent:
         return now < self._until
 
 
-class Extra(Protocol):
-    """Another server on the same bus, such as UDS. Its methods never wait."""
-
-    @property
-    def ids(self) -> frozenset[int]:
-        """Ids of the frames that this server handles, with the flag for 29 bits. The engine does
-        not receive these frames.
-        """
-        ...
-
-    @property
-    def wait(self) -> float:
-        """The longest time until the next call of `poll` [s]."""
-        ...
-
-    def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
-        """Handle a frame with one of `ids`. Return the frames to send."""
-        ...
-
-    def poll(self) -> list[OutFrame]:
-        """Handle time-outs. Return the frames to send."""
-        ...
-
-
 class Daemon:
     """Runs an engine on a link until `stop` is called.
 
-    clock: monotonic [s]. extra: another server on the bus; frames with its ids are not passed to
-    the engine. max_age: largest age of frames that are corrected [s], see `MAX_AGE_S`.
+    clock: monotonic [s]. extra: the diagnostic server; frames with its ids are not passed to the
+    engine. max_age: largest age of frames that are corrected [s], see `MAX_AGE_S`.
     """
 
     def __init__(
@@ -127,7 +105,7 @@ class Daemon:
         engine: Engine,
         link: Link,
         clock: Callable[[], float] = time.monotonic,
-        extra: Extra | None = None,
+        extra: BusUds | None = None,
         max_age: float = MAX_AGE_S,
     ) -> None:
         self.engine = engine
@@ -147,8 +125,8 @@ class Daemon:
         self._last_frame = clock()
         self._next_heartbeat = clock()
 
-    def serve(self, extra: Extra | None) -> None:
-        """Replace the other server on the bus by `extra`."""
+    def serve(self, extra: BusUds | None) -> None:
+        """Replace the diagnostic server."""
         self._extra = extra
         self._extra_ids = frozenset[int]() if extra is None else extra.ids
 

@@ -18,6 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from imucald import __version__
+from imucald.service.exposition import METRICS_TYPE
 
 CLIENTS_MAX = 16
 """Largest number of open connections. For another connection, a connection that has sent no request
@@ -27,7 +28,6 @@ CLIENT_S = 5.0
 """Longest duration of a connection [s], also if the client sends its request slowly."""
 FRESH_S = 0.2
 """Largest age of the metrics text that is sent as an answer [s]."""
-CONTENT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class MetricsHandler(BaseHTTPRequestHandler):
@@ -57,7 +57,7 @@ class MetricsHandler(BaseHTTPRequestHandler):
             return b""
         body = self.server.fresh_text().encode()
         self.send_response(200)
-        self.send_header("Content-Type", CONTENT)
+        self.send_header("Content-Type", METRICS_TYPE)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         return body
@@ -72,7 +72,6 @@ class MetricsServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    request_queue_size = 128
 
     def __init__(self, listening: socket.socket, text: Callable[[], str]) -> None:
         super().__init__(listening.getsockname()[:2], MetricsHandler, bind_and_activate=False)

@@ -16,12 +16,9 @@ import contextlib
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-
-FEEDS_PER_TIMEOUT = 4
-"""Number of watchdog messages within one watchdog time-out."""
 
 
 class Notifier:
@@ -31,22 +28,17 @@ class Notifier:
     environment of this process).
     """
 
-    def __init__(
-        self,
-        environment: Mapping[str, str] | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
         environment = os.environ if environment is None else environment
         self._address = environment.get("NOTIFY_SOCKET", "")
         if self._address.startswith("@"):  # an abstract one
             self._address = "\0" + self._address[1:]
-        self._clock = clock
         self._socket: socket.socket | None = None
         if self._address:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)
         self._period = _watchdog_period(environment)
-        self._next_feed = clock()
+        self._next_feed = time.monotonic()
         self._status = ""
 
     def ready(self) -> None:
@@ -71,7 +63,7 @@ class Notifier:
 
     def feed(self) -> None:
         """Send a watchdog message if one is due. The main loop must call this often."""
-        now = self._clock()
+        now = time.monotonic()
         if self._period and now >= self._next_feed:
             self._next_feed = now + self._period
             self._send("WATCHDOG=1")
@@ -83,23 +75,20 @@ class Notifier:
 
 
 def _watchdog_period(environment: Mapping[str, str]) -> float:
-    """Return the period of watchdog messages [s]; 0 if systemd expects no watchdog messages from
-    this process."""
+    """Return the period of watchdog messages [s], a quarter of the time-out; 0 if systemd expects
+    no watchdog messages from this process."""
     try:
         timeout = int(environment.get("WATCHDOG_USEC", "0")) / 1e6
         pid = int(environment.get("WATCHDOG_PID", os.getpid()))
     except ValueError:
         return 0.0
-    return timeout / FEEDS_PER_TIMEOUT if timeout > 0 and pid == os.getpid() else 0.0
+    return timeout / 4.0 if timeout > 0 and pid == os.getpid() else 0.0
 
 
 LONG_ENOUGH_S = 60.0
 """A process that has run for this long is not in a restart loop [s]. Its next restart has no
 delay.
 """
-ENDED = b"ended\n"
-"""Text that replaces the count in the file. The unit reads any text that is not a number as
-zero."""
 
 
 def start_count_file(environment: Mapping[str, str]) -> Path | None:
@@ -119,7 +108,7 @@ def end_count(path: Path | None) -> None:
         # The file is overwritten in place, as the unit does: on a disk that has become full, no new
         # file could be written.
         with suppress(OSError), path.open("r+b") as file:  # else a restart waits for a while
-            file.write(ENDED)
+            file.write(b"ended\n")  # the unit reads any text but a number as zero
 
 
 class StartCount:

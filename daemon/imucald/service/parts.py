@@ -2,8 +2,7 @@
 each reload.
 
 A reload replaces all parts or none: after a failure, the running parts stay unchanged. This module
-also contains the functions that continue parts after a reload, and the functions for the sensor
-check of the attitude.
+also contains the functions that continue parts after a reload.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from msgspec import Struct
 
@@ -21,18 +20,17 @@ from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import JointEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
 from imucald.mount.restored import RestoredEstimator
-from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.background_writer import Say
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
-from imucald.service.identity import state_key
 from imucald.service.live import open_link
-from imucald.service.saved_state import StateStore
+from imucald.service.saved_state import StateStore, state_key
 
 if TYPE_CHECKING:
+    from imucald.runtime.consumers import AttitudeConsumer
     from imucald.service.uds_host import RunningService
     from imucald.service.uds_on_bus import BusUds
     from imucald.service.uds_records import AttemptStore, DtcStore
@@ -87,36 +85,6 @@ class UdsDiagnostics(Struct, frozen=True):
         if self.uds is None or self.dtc_store is None:
             return None
         return self.uds.status() | {"dtc_memory": self.dtc_store.status()}
-
-
-def diagnostics_for(
-    service: RunningService,
-    loaded: LoadedConfig,
-    engine: Engine,
-    before: UdsDiagnostics,
-    folder: Path | None,
-    say: Say,
-    clock: Callable[[], float],
-) -> UdsDiagnostics:
-    """Return the diagnostics of a configuration. The diagnostics continue with the data of
-    `before`.
-
-    folder: folder of the saved state. Raises ConfigError with the place of a mistake.
-    """
-    dtc_store, keys = before.dtc_store, before.keys
-    if not loaded.config.diagnostics.enabled:
-        return UdsDiagnostics(None, dtc_store, keys)
-    # This is imported only on use: it loads OpenSSL (3.6 MiB) for keys.
-    from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
-    from imucald.service.uds_records import AttemptStore, DtcStore  # noqa: PLC0415
-
-    if dtc_store is None:
-        key = state_key(loaded, engine.router)
-        path = None if folder is None else folder / f"{key.file_name}.troubles"
-        dtc_store = DtcStore(path, say, clock)
-        keys = AttemptStore(folder and folder / "security.keys", say)
-    uds = bus_uds_for(service, loaded, engine, clock, dtc_store.memory, keys)
-    return UdsDiagnostics(uds, dtc_store, keys)
 
 
 @dataclass(frozen=True)
@@ -244,8 +212,23 @@ class PartsMaker:
     def _new_diagnostics(
         self, loaded: LoadedConfig, engine: Engine, before: UdsDiagnostics
     ) -> UdsDiagnostics:
-        folder, say = self._options.state_folder, self._listeners.say
-        return diagnostics_for(self._service, loaded, engine, before, folder, say, self._clock)
+        """Return the diagnostics of a configuration, with the data of `before`. Raises
+        ConfigError with the place of a mistake."""
+        dtc_store, keys = before.dtc_store, before.keys
+        if not loaded.config.diagnostics.enabled:
+            return UdsDiagnostics(None, dtc_store, keys)
+        # This is imported only on use: it loads OpenSSL (3.6 MiB) for keys.
+        from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
+        from imucald.service.uds_records import AttemptStore, DtcStore  # noqa: PLC0415
+
+        if dtc_store is None:
+            folder, say = self._options.state_folder, self._listeners.say
+            key = state_key(loaded, engine.router)
+            path = None if folder is None else folder / f"{key.file_name}.troubles"
+            dtc_store = DtcStore(path, say, self._clock)
+            keys = AttemptStore(folder and folder / "security.keys", say)
+        uds = bus_uds_for(self._service, loaded, engine, self._clock, dtc_store.memory, keys)
+        return UdsDiagnostics(uds, dtc_store, keys)
 
     def _new_link(self, loaded: LoadedConfig, engine: Engine, diagnostics: UdsDiagnostics) -> Link:
         matches, own_ids, uds = engine.router.matches, engine.output.can_ids, diagnostics.uds
@@ -342,35 +325,23 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
     return RestoredEstimator(without_stored(new), stored, is_held, by_configuration=configured)
 
 
-def repeat_check(engine: Engine) -> bool:
-    """Repeat the sensor check at the next standstill. Return whether the engine has a sensor
-    check."""
-    found = _checking(engine)
-    for consumer in found:
-        consumer.check_sensors()
-    return bool(found)
-
-
-def is_checked(engine: Engine) -> bool:
-    """Return whether the sensor check of the engine has been completed."""
-    return all(consumer.checked for consumer in _checking(engine))
+def attitude_of(engine: Engine) -> AttitudeConsumer | None:
+    """Return the attitude of an engine, which checks the sensors at rest; None if it is not
+    enabled."""
+    found = next((one for one in engine.consumers if one.name == "attitude"), None)
+    return cast("AttitudeConsumer | None", found)
 
 
 def saved_check(engine: Engine) -> Mapping[str, Any] | None:
     """Return the result of the sensor check for the saved state (sensor axes, SI); None before the
     check.
     """
-    return next((consumer.saved_check() for consumer in _checking(engine)), None)
+    attitude = attitude_of(engine)
+    return None if attitude is None else attitude.saved_check()
 
 
 def restore_check(engine: Engine, saved: object) -> None:
-    """Give the result of a sensor check of an earlier drive to each part that makes such a check.
-    saved: content of the saved state; an implausible result is ignored."""
-    for consumer in _checking(engine):
-        consumer.restore_check(saved)
-
-
-def _checking(engine: Engine) -> list[ChecksSensors]:
-    """Return the consumers of an engine that check sensors: the attitude, if it is enabled, else
-    none."""
-    return [consumer for consumer in engine.consumers if isinstance(consumer, ChecksSensors)]
+    """Give the result of a sensor check of an earlier drive to the attitude. saved: content of the
+    saved state; an implausible result is ignored."""
+    if (attitude := attitude_of(engine)) is not None:
+        attitude.restore_check(saved)

@@ -51,8 +51,6 @@ records contains neither length nor generation.
 MAX_BYTES = 1 << 20
 """Largest size of a saved record [bytes]."""
 PROBE = "probe"
-PROBE_BYTES = 1 << 16
-"""Size of a test write [bytes]. Most records are smaller."""
 LARGEST_NUMBER = 2**53
 """Largest accepted number in a file. A float represents every integer up to this number exactly."""
 CLOSE_WAIT_S = 0.2
@@ -175,7 +173,7 @@ class RecordFiles(Generic[Content]):
             self.folder.mkdir(parents=True, exist_ok=True)
             probe.unlink(missing_ok=True)
             with probe.open("xb") as file:
-                file.write(bytes(PROBE_BYTES))
+                file.write(bytes(1 << 16))  # most records are smaller
         except OSError as error:
             return error.strerror or str(error)
         finally:

@@ -40,7 +40,8 @@ class Reloading(Generic[Read]):
         self._read, self._take_over = read, take_over
         self._journal, self._notifier = journal, notifier
         self._is_requested = False
-        self._preparing: Prepared[Read] | None = None
+        self._read_results: list[Read | Exception] | None = None
+        """Result of the thread that reads; empty while it reads, None if there is no thread."""
         self._clock = clock
         self._began = 0.0
         self._is_waiting_reported = self._is_long_reported = False
@@ -52,22 +53,41 @@ class Reloading(Generic[Read]):
     def now(self) -> None:
         """Reload at once."""
         self._notifier.reloading()
-        self._end(Prepared.run_now(self._read))
+        self._end(self._result())
 
     def poll(self) -> None:
         """Start a requested reload in a thread. If a configuration has been read, apply it."""
-        if self._preparing is None:
+        results = self._read_results
+        if results is None:
             if self._is_requested:
                 self._is_requested = False
                 self._notifier.reloading()
-                self._preparing = Prepared.run_in_thread(self._read)
                 self._began = self._clock()
                 self._is_waiting_reported = self._is_long_reported = False
-        elif self._preparing.is_done:
-            prepared, self._preparing = self._preparing, None
-            self._end(prepared)
+                self._begin_reading()
+        elif results:
+            self._read_results = None
+            self._end(results[0])
         else:
             self._report_hanging(self._clock() - self._began)
+
+    def _begin_reading(self) -> None:
+        results = self._read_results = []
+        thread = threading.Thread(
+            target=lambda: results.append(self._result()), name="prepare", daemon=True
+        )
+        try:
+            thread.start()
+        except RuntimeError:  # the system has no thread left
+            results.append(self._result())
+
+    def _result(self) -> Read | Exception:
+        try:
+            return self._read()
+        except Exception as error:
+            return error
+        except BaseException as error:  # of a tester's module, say: the thread must give a result
+            return ImucaldError(f"{type(error).__name__}: {error}")
 
     def _report_hanging(self, seconds: float) -> None:
         """Log that a reload takes long, or that a new reload waits for it. Each text is logged
@@ -84,58 +104,13 @@ class Reloading(Generic[Read]):
             )
             self._journal.say(text, WARNING)
 
-    def _end(self, prepared: Prepared[Read]) -> None:
+    def _end(self, result: Read | Exception) -> None:
         try:
-            self._take_over(prepared.result())
+            if isinstance(result, Exception):
+                raise result
+            self._take_over(result)
         except Exception as error:  # whatever it is: what runs goes on as it was
             kind = "" if isinstance(error, ImucaldError) else f"{type(error).__name__}: "
             for line in (str(error) or "no reason given").splitlines():
                 self._journal.say(f"not reloaded: {kind}{line}", ERROR)
         self._notifier.ready()
-
-
-Result = TypeVar("Result")
-
-
-class Prepared(Generic[Result]):
-    """The result or the exception of a function that runs now or in a thread."""
-
-    def __init__(self) -> None:
-        self.is_done = False
-        self._found: Result | None = None
-        self._error: Exception | None = None
-
-    @classmethod
-    def run_now(cls, work: Callable[[], Result]) -> Prepared[Result]:
-        """Call the function now."""
-        made = cls()
-        made._do(work)
-        return made
-
-    @classmethod
-    def run_in_thread(cls, work: Callable[[], Result]) -> Prepared[Result]:
-        """Call the function in a thread. If no thread can be started, call the function now."""
-        made = cls()
-        try:
-            threading.Thread(target=made._do, args=[work], name="prepare", daemon=True).start()
-        except RuntimeError:  # the system has no thread left
-            made._do(work)
-        return made
-
-    def _do(self, work: Callable[[], Result]) -> None:
-        try:
-            self._found = work()
-        except Exception as error:
-            self._error = error
-        finally:
-            self.is_done = True
-
-    def result(self) -> Result:
-        """Return the result of the function, or raise its exception.
-
-        The function must have ended before this call.
-        """
-        if self._error is not None:
-            raise self._error
-        assert self._found is not None
-        return self._found

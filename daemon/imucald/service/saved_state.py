@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from msgspec import Meta, Struct, convert
+from msgspec import Meta, Struct, convert, to_builtins
 from msgspec.structs import replace
 
+from imucald.can.dbc.message import Message, Signal
+from imucald.config import LoadedConfig, SourceSettings, TriadSettings
 from imucald.core.files import sha256
+from imucald.inputs.router import Router
+from imucald.inputs.routes import MessageRoute
 from imucald.mount.estimate import GOOD_NAMES
 from imucald.service.records import LARGEST_NUMBER, RecordFiles
 
 KIND: Final = "imucald-state"
-ROTATION_TOLERANCE: Final = 1e-6
-"""Largest accepted difference of a stored matrix from a rotation matrix."""
-LARGEST_VARIANCE: Final = 4.0
-"""Largest accepted variance of an angle [rad^2]. The variance of an unknown angle is smaller."""
 LONGEST_DOUBT: Final = 2000
 """Largest length of the text `doubt`. All existing texts together are shorter."""
 
@@ -84,13 +85,63 @@ def _state_from(record: Mapping[str, Any]) -> SavedState:
     """Return the state in a record. Raises ValueError if a number or text is not plausible."""
     state = convert(record, SavedState)
     R, C = (np.reshape(numbers, (3, 3)) for numbers in (state.rotation, state.covariance))
-    if not np.abs(R @ R.T - np.eye(3)).max() <= ROTATION_TOLERANCE or not np.linalg.det(R) > 0.0:
+    if not np.abs(R @ R.T - np.eye(3)).max() <= 1e-6 or not np.linalg.det(R) > 0.0:
         raise ValueError("rotation")
-    is_symmetric = np.abs(C - C.T).max() <= 1e-12 and np.diag(C).max() <= LARGEST_VARIANCE
-    if not is_symmetric or not all(np.linalg.det(C[:n, :n]) > 0.0 for n in (1, 2, 3)):
+    # the variance of an unknown angle is below 4 rad^2
+    is_sound = np.abs(C - C.T).max() <= 1e-12 and np.diag(C).max() <= 4.0
+    if not is_sound or not all(np.linalg.det(C[:n, :n]) > 0.0 for n in (1, 2, 3)):
         raise ValueError("covariance")
     if state.state not in GOOD_NAMES:
         raise ValueError("state")
     if not state.doubt.isprintable():
         raise ValueError("doubt")
     return state
+
+
+_DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
+"""Keys of a configured source that change the values of its signal."""
+
+
+def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey:
+    """Return the key of the saved state that belongs to a configuration. The key contains only
+    settings that turn the accelerometer's axes or select another sensor. These settings are the
+    accelerometer's sources with identifiers, layout, units and signs, the signal effects that a
+    model file removes (`model`, see `Engine.model_key`), and the mount that the configuration
+    states. Ids of outputs, speed sources and limits are not in the key.
+    """
+    described = _triads(loaded.config.signals.accelerometer, router)
+    text = json.dumps(described, sort_keys=True, default=str) + model
+    if (mount := loaded.config.calibration.mount) is not None:
+        text += json.dumps(to_builtins(mount), sort_keys=True)
+    return StateKey(loaded.config.vehicle.id, sha256(text.encode()).hexdigest())
+
+
+def _triads(triads: Sequence[TriadSettings], router: Router) -> list[list[dict[str, Any]]]:
+    return [
+        [_described(source, router) for source in (triad.x, triad.y, triad.z) if source is not None]
+        for triad in triads
+    ]
+
+
+def _described(source: SourceSettings, router: Router) -> dict[str, Any]:
+    """Return all properties of a source that determine the values of its signal."""
+    found: dict[str, Any] = {
+        "configured": {k: v for k, v in to_builtins(source).items() if k in _DECISIVE}
+    }
+    for message, signal in _found(source.signal, router):
+        found["id"] = message.can_id
+        found["layout"] = [signal.start, signal.length, signal.byte_order]
+        found["number"] = [signal.is_signed, signal.is_float, signal.scale, signal.offset]
+        found["unit"] = signal.unit
+    for message, signal in _found(source.sign_signal, router):
+        found["sign"] = [message.can_id, signal.start, signal.byte_order]
+    return found
+
+
+def _found(path: str | None, router: Router) -> Iterator[tuple[Message, Signal]]:
+    """Yield message and signal of the path ``MESSAGE.SIGNAL``, once for each route that reads the
+    message."""
+    name, _, signal = (path or "").partition(".")
+    for route in router.routes:
+        if isinstance(route, MessageRoute) and route.name == name:
+            yield route.plan.message, route.plan.message.signals[signal]

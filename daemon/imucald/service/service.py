@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import asdict
 
-from imucald.can.link.link import Link, LinkCounters
+from imucald.can.link.link import Link
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError
 from imucald.runtime.engine import Engine
@@ -22,7 +22,6 @@ from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.service.announcements import Announcements, say_idle_keys
 from imucald.service.folder_lock import FolderInUseError, FolderLock
-from imucald.service.identity import state_key
 from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import ClockWatch, Daemon
 from imucald.service.notify import Notifier, StartCount
@@ -31,31 +30,20 @@ from imucald.service.parts import (
     Parts,
     PartsMaker,
     ServiceOptions,
-    is_checked,
-    repeat_check,
+    attitude_of,
 )
 from imucald.service.recent_history import PERIOD_S, RecentHistory
 from imucald.service.records import clear_unfinished
 from imucald.service.reloading import Reloading
 from imucald.service.running_status import InputRates, run_result, running_status, status_line
-from imucald.service.sockets import Sockets
+from imucald.service.saved_state import state_key
+from imucald.service.status import Sockets
+
+if TYPE_CHECKING:
+    from imucald.service.listening import ServingProcess
 
 CHORE_S = 0.1
 """Period of all tasks except the handling of frames [s]."""
-SECOND_S = 1.0
-"""Period for updating the sample rates and the status line [s]."""
-
-
-class Companion(Protocol):
-    """A child process that runs as long as the daemon runs."""
-
-    def poll(self) -> bool:
-        """Return whether the process has ended by itself since the last call."""
-        ...
-
-    def close(self) -> None:
-        """End the process."""
-        ...
 
 
 class Service:
@@ -67,8 +55,9 @@ class Service:
         journal: Journal | None = None,
         notifier: Notifier | None = None,
         clock: Callable[[], float] = time.monotonic,
-        companion: Companion | None = None,
+        companion: ServingProcess | None = None,
     ) -> None:
+        """companion: the metrics process, which runs as long as the daemon."""
         self.options = options
         self._companion = companion
         self.journal = journal or Journal()
@@ -271,7 +260,7 @@ class Service:
                 )
         self.sockets.poll()
         if now >= self._next_second:
-            self._next_second = now + SECOND_S
+            self._next_second = now + 1.0
             self._every_second(now)
 
     def _every_second(self, now: float) -> None:
@@ -299,11 +288,6 @@ class Service:
     # what diagnostics and orders ask for ----------------------------------------------------
 
     @property
-    def link_counters(self) -> LinkCounters:
-        """Counters of the bus link."""
-        return self.link.counters
-
-    @property
     def state_corrupt(self) -> bool | None:
         """True if the saved state was invalid at the start and no state has been saved since then.
         None if no state is kept."""
@@ -314,15 +298,18 @@ class Service:
         """Repeat the sensor check of the attitude at the next standstill. Return whether there is a
         sensor check.
         """
-        is_there = repeat_check(self.engine)
-        if is_there:
-            self.journal.say("the sensors will be checked at the next stop", NOTICE)
-        return is_there
+        attitude = attitude_of(self.engine)
+        if attitude is None:
+            return False
+        attitude.check_sensors()
+        self.journal.say("the sensors will be checked at the next stop", NOTICE)
+        return True
 
     @property
     def sensors_checked(self) -> bool:
         """True if the sensor check has been completed."""
-        return is_checked(self.engine)
+        attitude = attitude_of(self.engine)
+        return attitude is None or attitude.checked
 
     def ask_sensor_check(self) -> None:
         """Request the sensor check. The call is safe in a signal handler."""

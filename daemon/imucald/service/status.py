@@ -1,4 +1,4 @@
-"""Status for people and programs. Clients request it over a Unix socket, and the main loop answers.
+"""The status socket, and both sockets of a daemon. The main loop answers the clients.
 
 A client connects, sends one line and reads until the end. The line ``status`` gives JSON,
 ``events`` gives the last events as JSON, ``history`` (or ``history SINCE``) gives the last half
@@ -14,12 +14,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from imucald.core.errors import LinkError
 from imucald.core.text import json_text
+from imucald.runtime.mount_orders import MountOrders
+from imucald.service.asking import control_socket
 from imucald.service.background_writer import Say
+from imucald.service.control import ControlServer
+from imucald.service.exposition import METRICS_TYPE
+from imucald.service.journal import WARNING, Journal
 from imucald.service.line_server import LineServer, nobody_listens
-
-READABLE_BY_ALL = 0o666
-"""Permissions of the status socket. All users may use it, because it accepts no orders."""
 
 
 class StatusServer(LineServer):
@@ -39,7 +42,8 @@ class StatusServer(LineServer):
         history: Callable[[float], str] = lambda _: "{}\n",
         say: Say = nobody_listens,
     ) -> None:
-        super().__init__(path, READABLE_BY_ALL, lambda line, _: self._answer(line), clock, say=say)
+        # all users may use it, because it accepts no orders
+        super().__init__(path, 0o666, lambda line, _: self._answer(line), clock, say=say)
         self._status = status
         self._events = events
         self._history = history
@@ -72,8 +76,7 @@ def status_json(status: Mapping[str, Any]) -> str:
 
 
 def _http(code: str, body: bytes) -> bytes:
-    kind = "text/plain; version=0.0.4; charset=utf-8"
-    head = f"HTTP/1.1 {code}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n"
+    head = f"HTTP/1.1 {code}\r\nContent-Type: {METRICS_TYPE}\r\nContent-Length: {len(body)}\r\n"
     return f"{head}Connection: close\r\n\r\n".encode() + body
 
 
@@ -83,3 +86,58 @@ def since(text: str) -> float:
         return float(text)
     except ValueError:
         return -math.inf
+
+
+class Sockets:
+    """The status socket and the control socket. The daemon also works without them.
+
+    path: path of the status socket; with None, there is no socket. is_needed: raise LinkError if
+    the status socket cannot be created. status: function that returns the status. history: see
+    `StatusServer`.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        is_needed: bool,
+        status: Callable[[], Mapping[str, Any]],
+        orders: MountOrders,
+        journal: Journal,
+        history: Callable[[float], str],
+    ) -> None:
+        self.status: StatusServer | None = None
+        self.control: ControlServer | None = None
+        if path is None:
+            return
+        try:
+            self.status = StatusServer(
+                path,
+                status,
+                events=lambda: [event._asdict() for event in journal.events],
+                history=history,
+                say=journal.say,
+            )
+            is_needed = False
+            self.control = ControlServer(control_socket(path), orders, journal.say)
+        except LinkError as error:
+            if is_needed:
+                raise
+            journal.say(f"{error}; continuing without it", WARNING)
+
+    def poll_status(self) -> None:
+        """Serve the clients of the status socket. The method is also called during a long batch of
+        frames."""
+        if self.status is not None:
+            self.status.poll()
+
+    def poll(self) -> None:
+        """Serve the waiting clients of both sockets."""
+        self.poll_status()
+        if self.control is not None:
+            self.control.poll()
+
+    def close(self) -> None:
+        """Remove both sockets."""
+        for server in (self.status, self.control):
+            if server is not None:
+                server.close()

@@ -11,45 +11,28 @@ from msgspec import to_builtins
 
 from imucald import __version__
 from imucald.can.dbc.database import MAX_FILE_BYTES
-from imucald.can.link.link import LinkCounters
+from imucald.can.link.link import Link
 from imucald.config import LoadedConfig
 from imucald.core.files import read_regular
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.hysteresis import BAD
-from imucald.runtime.engine import Engine
-from imucald.runtime.mount_orders import TESTER, MountOrders
+from imucald.runtime.flow import STARTING_S
+from imucald.runtime.mount_orders import TESTER, MountOrders, OrderedService
 from imucald.uds.host import FrameCounts, Identity, Symptoms
 
-SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
-"""A speed counts as known if its last sample is at most this old [ticks of 0.1 s].
-
-The time is two seconds, because some sources send one sample per second.
-"""
+SPEED_AGE_S: Final = 2.0
+"""Largest age of a known speed [s]: some sources send one sample per second."""
 STANDING_SPEED: Final = 0.1
-"""A vehicle counts as standing below this speed [m/s]. The value is smaller than the resolution of
-a coarse speed signal.
-"""
-START_S: Final = 2.0
-"""During this time after the start, no input is reported as missing [s]."""
+"""A vehicle stands below this speed [m/s], which is finer than any speed signal."""
 
 
-class RunningService(Protocol):
-    """The service that runs the calibration. A reload replaces its engine and its configuration."""
+class RunningService(OrderedService, Protocol):
+    """The service that runs the calibration, as the diagnostics see it."""
 
     @property
-    def engine(self) -> Engine:
-        """The engine that runs now."""
-        ...
-
-    @property
-    def loaded(self) -> LoadedConfig:
-        """The present configuration."""
-        ...
-
-    @property
-    def link_counters(self) -> LinkCounters:
-        """Counters of the bus link."""
+    def link(self) -> Link:
+        """The bus."""
         ...
 
     @property
@@ -115,7 +98,8 @@ class LiveHost:
         if pipeline.speed is None:
             return None
         tick, speed = pipeline.speed
-        return None if pipeline.k - tick > SPEED_AGE_TICKS else abs(speed) < STANDING_SPEED
+        is_old = pipeline.k - tick > SPEED_AGE_S * TICK_RATE
+        return None if is_old else abs(speed) < STANDING_SPEED
 
     @property
     def uptime(self) -> float:
@@ -133,7 +117,7 @@ class LiveHost:
 
     def counts(self) -> FrameCounts:
         """Return the frame counters of engine and link."""
-        engine, link = self._service.engine, self._service.link_counters
+        engine, link = self._service.engine, self._service.link.counters
         rejected = engine.router.rejected
         return FrameCounts(
             received=link.received,
@@ -150,13 +134,12 @@ class LiveHost:
         engine = self._service.engine
         health, channels = engine.health(), engine.router.channels
         missing = {
-            "accelerometer": health.accelerometer_missing,
-            "gyroscope": health.gyroscope_missing,
+            "accel": health.accelerometer_missing,
+            "gyro": health.gyroscope_missing,
             "speed": health.speed_missing,
         }
-        watched = {"accel": "accelerometer", "gyro": "gyroscope", "speed": "speed"}
-        if self.uptime < START_S:
-            watched = {}
+        if self.uptime < STARTING_S:
+            missing = {}
         faults = engine.pipeline.health.unfit
         names = {
             "accel": "accelerometer",
@@ -168,7 +151,7 @@ class LiveHost:
         return Symptoms(
             usable=engine.pipeline.quality > 0,
             moved=engine.pipeline.estimator.state in BAD,
-            missing={name: missing[name] for c, name in watched.items() if c in channels},
+            missing={names[c]: flag for c, flag in missing.items() if c in channels},
             counts=self.counts(),
             state_corrupt=self._service.state_corrupt,
             faulty={

@@ -1,14 +1,13 @@
 """Diagnostics on the bus: the server of `imucald.uds` in the running daemon.
 
-Diagnostics are switched off by default. The main loop passes the frames with the request ids to the
-server and sends the answers; see `live.Extra`.
+Diagnostics are switched off by default. The main loop (`live.Daemon`) passes the frames with the
+request ids to the server and sends the answers.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-import struct
 import time
 from collections.abc import Callable
 from typing import Any, Final
@@ -20,10 +19,11 @@ from imucald.core.errors import ConfigError
 from imucald.core.libraries import how_to_install
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import OutFrame
+from imucald.runtime.session import make_engine
 from imucald.service.uds_host import LiveHost, RunningService
 from imucald.service.uds_records import AttemptStore
-from imucald.uds.dtc_memory import DtcMemory, DtcStatus
-from imucald.uds.identifiers import Identifier
+from imucald.uds.dtc import DtcMemory, DtcStatus
+from imucald.uds.identifiers import Identifier, u32
 from imucald.uds.isotp_channel import IsoTpChannel, flagged
 from imucald.uds.security import KeyFunction, Security
 from imucald.uds.server import Server
@@ -41,8 +41,7 @@ TRANSPORT_COUNTERS: Final = (
 
 
 class BusUds:
-    """Diagnostic server, transport protocol and DTCs of one daemon. The class implements
-    `live.Extra`."""
+    """Diagnostic server, transport protocol and DTCs of one daemon. No method waits."""
 
     def __init__(
         self,
@@ -87,7 +86,8 @@ class BusUds:
 
     @property
     def ids(self) -> frozenset[int]:
-        """Ids of received frames, with the flag for 29 bits."""
+        """Ids of received frames, with the flag for 29 bits. The engine does not get these
+        frames."""
         return self.channel.ids
 
     @property
@@ -147,13 +147,25 @@ class BusUds:
     def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
         """Raise ConfigError if a diagnostic id is also the id of an input or output of the
         engine."""
-        _check_identifiers(loaded, engine)
+        config = loaded.config.diagnostics
+        for key in ("request_id", "response_id", "functional_id"):
+            can_id = getattr(config, key)
+            if can_id is None:
+                continue
+            wire_id, taken = flagged(can_id), ""
+            if wire_id in engine.output.can_ids:
+                taken = "an output id"
+            elif any(not (wire_id ^ m.can_id) & m.full_mask for m in engine.router.matches):
+                taken = "an input id"
+            if taken:
+                text = f"0x{can_id:X} is also {taken}; choose another id"
+                raise loaded.error(("diagnostics", key), text)
 
     def _transport_counted(self) -> bytes:
         counters = self.channel.counters
         known = [counters[name] for name in TRANSPORT_COUNTERS]
         errors = counters.total() - sum(known)
-        return struct.pack(f">{len(known) + 1}I", *(min(n, 0xFFFF_FFFF) for n in (*known, errors)))
+        return u32(*known, errors)
 
 
 def bus_uds_for(
@@ -169,25 +181,27 @@ def bus_uds_for(
     service: used only after the start. dtcs, keys: the existing memory of DTCs and the existing
     count of wrong keys, if any. Raises ConfigError with the place of a mistake.
     """
-    config = loaded.config.diagnostics
-    key_function = checked_key_function(loaded, engine)
+    key_function = _checked_key_function(loaded, engine)
     try:
-        return BusUds(service, config, key_function, clock, dtcs, keys)
+        return BusUds(service, loaded.config.diagnostics, key_function, clock, dtcs, keys)
     except ImportError:
         raise _lacks_isotp(loaded) from None
 
 
-def check_diagnostics(loaded: LoadedConfig, engine: Engine) -> None:
-    """Raise ConfigError if the diagnostics of a configuration cannot be made."""
-    checked_key_function(loaded, engine)
-    if importlib.util.find_spec("isotp") is None:
-        raise _lacks_isotp(loaded)
+def check_start(loaded: LoadedConfig) -> None:
+    """Raise ConfigError if `imucald run` would end with this error for the configuration. No bus
+    is opened."""
+    engine = make_engine(loaded)
+    if loaded.config.diagnostics.enabled:
+        _checked_key_function(loaded, engine)
+        if importlib.util.find_spec("isotp") is None:
+            raise _lacks_isotp(loaded)
 
 
-def checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | None:
+def _checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | None:
     """Return the function that checks a tester's key; None if there is none. Raises ConfigError if
     an identifier of the diagnostics is already used."""
-    _check_identifiers(loaded, engine)
+    BusUds.check_identifiers(loaded, engine)
     name = loaded.config.diagnostics.security.key_function
     return None if name is None else _load_key_function(loaded, name)
 
@@ -195,24 +209,6 @@ def checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | 
 def _lacks_isotp(loaded: LoadedConfig) -> ConfigError:
     text = f"needs the package can-isotp: {how_to_install('diagnostics')}"
     return loaded.error(("diagnostics", "enabled"), text)
-
-
-def _check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
-    config = loaded.config.diagnostics
-    for key in ("request_id", "response_id", "functional_id"):
-        can_id = getattr(config, key)
-        if can_id is None:
-            continue
-        wire_id = flagged(can_id)
-        if wire_id in engine.output.can_ids:
-            raise _shared(loaded, key, "an output id")
-        if any(not (wire_id ^ m.can_id) & m.full_mask for m in engine.router.matches):
-            raise _shared(loaded, key, "an input id")
-
-
-def _shared(loaded: LoadedConfig, key: str, what: str) -> ConfigError:
-    can_id = getattr(loaded.config.diagnostics, key)
-    return loaded.error(("diagnostics", key), f"0x{can_id:X} is also {what}; choose another id")
 
 
 def _load_key_function(loaded: LoadedConfig, name: str) -> KeyFunction:

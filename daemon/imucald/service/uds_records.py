@@ -18,12 +18,11 @@ from msgspec import Meta, Struct, convert
 from imucald.service.background_writer import Say
 from imucald.service.journal import WARNING
 from imucald.service.records import KeptRecord
-from imucald.uds.dtc_memory import DtcMemory
+from imucald.uds.dtc import DtcMemory
 
 DTC_KIND: Final = "imucald-troubles"
 """First word of the files with DTCs. The word cannot change, because existing files begin with
 it."""
-KEYS_KIND: Final = "imucald-keys"
 PERIOD_S: Final = 10.0
 """Shortest time between writes of changed codes [s]. An input that fails repeatedly therefore does
 not wear out the disk.
@@ -45,7 +44,9 @@ class AttemptStore(KeptRecord[WrongKeys]):
 
     def __init__(self, path: Path | None, say: Say) -> None:
         title = "the count of wrong keys"
-        super().__init__(path, KEYS_KIND, lambda record: convert(record, WrongKeys), title, say)
+        super().__init__(
+            path, "imucald-keys", lambda record: convert(record, WrongKeys), title, say
+        )
         self.wrong = int(bool(self.problems)) if self.content is None else self.content.wrong
         """The saved number of successive wrong keys."""
         if self.problems:

@@ -29,7 +29,6 @@ from imucald.motion.standstill import is_terminal_at_rest
 from imucald.travel_direction.certainty import COMPASS_STD, MIN_HORIZONTAL
 from imucald.travel_direction.north import NorthFilter
 
-TWO_PI = 2.0 * math.pi
 GAP_S = 0.5
 """Time between samples above which they are not a steady stream [s]."""
 REST_S = 1.0
@@ -122,7 +121,7 @@ class TerminalAttitude:
             return
         self._signal_age += dt
         part = dt / (min(self.settings.compass_time, self._signal_age) + dt)
-        self._signal_yaw += part * math.remainder(yaw - self._signal_yaw, TWO_PI)
+        self._signal_yaw += part * math.remainder(yaw - self._signal_yaw, math.tau)
 
     @property
     def yaw(self) -> float | None:

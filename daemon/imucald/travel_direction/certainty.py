@@ -20,9 +20,8 @@ from __future__ import annotations
 
 import math
 
-LEAD_STD = math.radians(30.0)
-"""Spread of the lead over persons and carrying positions [rad]."""
-KAPPA = 1.0 / LEAD_STD**2
+KAPPA = 1.0 / math.radians(30.0) ** 2
+"""Concentration of the lead over persons and carrying positions, which spreads by 30 deg."""
 ARM_SWING = 1.0
 """Mean square of the angular rate of a swinging arm [(rad/s)^2].
 
@@ -48,7 +47,6 @@ MIN_HORIZONTAL = 0.1
 With a smaller part, the axis is within 6 deg of the vertical. A lean of 1 deg then turns its
 heading by 10 deg.
 """
-MIN_AGREEMENT = 1e-6
 
 
 def axis_std(agreement: float, steps: float) -> float:
@@ -56,7 +54,7 @@ def axis_std(agreement: float, steps: float) -> float:
 
     agreement: resultant of the doubled angles, 0 to 1. steps: effective number of steps.
     """
-    one = -0.5 * math.log(min(max(agreement, MIN_AGREEMENT), 1.0))  # of one step, squared
+    one = -0.5 * math.log(min(max(agreement, 1e-6), 1.0))  # of one step, squared
     return min(math.sqrt(one * min(SHARED_STEPS / steps, 1.0)), MAX_STD)
 
 

@@ -38,7 +38,6 @@ from imucald.travel_direction.method_d import (
 )
 from imucald.travel_direction.step_cycles import StepCycle, StepCycles
 
-TWO_PI = 2.0 * math.pi
 STALE_S = 2.0
 """Time without a step after which the state is STANDING [s]."""
 COMPASS_STALE_S = 1.0
@@ -232,7 +231,7 @@ class TravelDirection:
         # The rotation of P by yaw is counter-clockwise, so it is subtracted from clockwise angles.
         # The declination then gives true north.
         declination = self.settings.declination if self._heading is None else 0.0
-        return (angle - yaw + declination) % TWO_PI
+        return (angle - yaw + declination) % math.tau
 
     def _level_heading(self, cycle: StepCycle) -> float | None:
         """Return the heading of the cycle's level frame, clockwise from north [rad].
@@ -244,12 +243,12 @@ class TravelDirection:
         field = self._mean_field(cycle)
         if field is not None:
             heading = level_heading(field, mean)
-            return None if heading is None else (heading + self.settings.declination) % TWO_PI
+            return None if heading is None else (heading + self.settings.declination) % math.tau
         to_y = y_angle(mean)
         if self._heading is None or to_y is None:
             return None
         t, heading = self._heading
-        return (heading - to_y) % TWO_PI if cycle.t1 - t <= COMPASS_STALE_S else None
+        return (heading - to_y) % math.tau if cycle.t1 - t <= COMPASS_STALE_S else None
 
     def _mean_field(self, cycle: StepCycle) -> NDArray[np.float64] | None:
         """Return the mean magnetic field of the cycle (3,) [T]. If the cycle contains no field,

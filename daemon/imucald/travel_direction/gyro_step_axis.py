@@ -25,7 +25,6 @@ ComplexArray = NDArray[np.complex128]
 SWING_POWER = 0.5
 """Mean square of the angular rate at which a terminal counts as swinging [(rad/s)^2]. The value of
 a leg is 0.7."""
-TWO_PI = 2.0 * math.pi
 
 
 class GyroStepAxis:
@@ -87,7 +86,7 @@ class GyroStepAxis:
         self._swing_power = keep * self._swing_power + rate_power
         self._weight = keep * self._weight + 1.0
         self._square_weight = keep * keep * self._square_weight + 1.0
-        return angle % TWO_PI
+        return angle % math.tau
 
     def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
         """Return the amplitudes at the step frequency, in x, y, up.

@@ -27,8 +27,6 @@ from imucald.core.arrays import Array
 from imucald.travel_direction.certainty import MIN_HORIZONTAL
 from imucald.travel_direction.step_cycles import POINTS, StepCycle
 
-TWO_PI = 2.0 * math.pi
-
 
 def tilt(mean: Array) -> tuple[float, float]:
     """Return pitch and roll of the publication (*reconstructed*) from a mean acceleration (3,)."""
@@ -41,12 +39,12 @@ def tilt_angle(pitch: float, roll: float) -> float:
 
     pitch, roll: from an accelerometer whose output is -g on the axis that points up.
     """
-    return (math.atan2(roll, pitch) + math.pi) % TWO_PI
+    return (math.atan2(roll, pitch) + math.pi) % math.tau
 
 
 def tilt_heading(pitch: float, roll: float, compass: float) -> float:
     """Return the tilt heading (method D, step 3) by [0079], clockwise from north [0, 2 pi)."""
-    return (tilt_angle(pitch, roll) + compass + TWO_PI) % TWO_PI
+    return (tilt_angle(pitch, roll) + compass + math.tau) % math.tau
 
 
 def levelling_angles(mean: Array) -> tuple[float, float]:
@@ -86,7 +84,7 @@ def level_heading(field: Array, mean: Array) -> float | None:
     field: magnetic field (3,). mean: acceleration (3,). Returns None if the field is vertical.
     """
     x, y, _ = projected(field, *levelling_angles(mean))
-    return math.atan2(-float(x), float(y)) % TWO_PI if x != 0.0 or y != 0.0 else None
+    return math.atan2(-float(x), float(y)) % math.tau if x != 0.0 or y != 0.0 else None
 
 
 def correlation_angle(accel: Array) -> float | None:
@@ -111,7 +109,7 @@ def correlation_angle(accel: Array) -> float | None:
         return None
     inside = math.atan2(abs(d_xz), abs(d_yz))
     if d_yz >= 0.0:
-        return inside if d_xz >= 0.0 else (TWO_PI - inside) % TWO_PI
+        return inside if d_xz >= 0.0 else (math.tau - inside) % math.tau
     return math.pi - inside if d_xz >= 0.0 else math.pi + inside
 
 
@@ -154,10 +152,10 @@ class PublishedDirection:
         mean = cycle.accel.mean(axis=0)
         pitch, roll = tilt(-mean)
         to_y = y_angle(mean)
-        compass = None if to_y is None else (level + to_y) % TWO_PI
+        compass = None if to_y is None else (level + to_y) % math.tau
         by_tilt = None if compass is None else tilt_heading(pitch, roll, compass)
         angle = correlation_angle(cycle.accel)
-        by_waves = None if angle is None else (angle + level) % TWO_PI
+        by_waves = None if angle is None else (angle + level) % math.tau
         is_turn = apart(compass, self._compass) > c.turn
         has_both = by_tilt is not None and by_waves is not None
         contradicts = has_both and apart(by_waves, by_tilt) >= c.differ
@@ -181,4 +179,4 @@ def apart(a: float | None, b: float | None) -> float:
 
 def difference(a: float, b: float) -> float:
     """Return the absolute difference of two angles, at most pi [rad]."""
-    return abs(math.remainder(a - b, TWO_PI))
+    return abs(math.remainder(a - b, math.tau))

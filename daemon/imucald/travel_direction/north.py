@@ -38,7 +38,6 @@ FIELD_WALK = 0.2
 """Random walk of the earth's field [uT/sqrt(s)]: the field changes along streets."""
 ZERO_WALK = math.radians(0.002)
 """Random walk of the gyroscope's zero error [rad/s/sqrt(s)]."""
-GATE = 3.0
 DISTURBANCE = 5.0
 """Disturbance for which `NOISE` is chosen [uT]."""
 DISTURBANCE_S = 120.0
@@ -96,11 +95,7 @@ class NorthFilter:
         # The first fields show north at once; only later fields get the noise of disturbance.
         noise = NOISE**2 if self.ready else 1.0
         innovation = field - H @ self.x
-        S = H @ self.P @ H.T
-        size = float(innovation @ innovation)
-        if self.ready:
-            noise = max(noise, size / GATE**2 - float(np.trace(S)) / 3.0)
-        S = S + noise * np.eye(3)
+        S = H @ self.P @ H.T + noise * np.eye(3)
         K = np.linalg.solve(S, H @ self.P).T
         self.x = self.x + K @ innovation
         A = np.eye(7) - K @ H

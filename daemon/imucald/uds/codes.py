@@ -43,9 +43,6 @@ class Session(enum.IntEnum):
     EXTENDED = 0x03
 
 
-EVERY_SESSION: Final = frozenset(Session)
-EXTENDED_ONLY: Final = frozenset({Session.EXTENDED})
-
 NEGATIVE: Final = 0x7F
 """First byte of a negative response."""
 POSITIVE: Final = 0x40

@@ -20,12 +20,9 @@ MAX_IDENTIFIERS = 16
 """Largest number of identifiers in a request. The limit bounds the work and the response."""
 MAX_RESPONSE = 512
 """Longest response [bytes]. A request for a longer response is refused."""
-VIN_BYTES = 17
 
 ANGLE_NOT_KNOWN = -0x8000
 DEVIATION_NOT_KNOWN = 0xFFFF
-DEGREES_PER_ANGLE_BIT = 0.01
-DEGREES_PER_DEVIATION_BIT = 0.005
 
 COUNTED_FAULTS = (
     "short_frame",
@@ -62,7 +59,7 @@ def _angles(host: Host) -> bytes:
 
 
 def _angle(value: float) -> int:
-    raw = round(math.degrees(value) / DEGREES_PER_ANGLE_BIT)
+    raw = round(math.degrees(value) / 0.01)
     return raw if -0x7FFF <= raw <= 0x7FFF else ANGLE_NOT_KNOWN
 
 
@@ -77,7 +74,7 @@ def _deviations(host: Host) -> bytes:
 def _deviation(value: float) -> int:
     if not math.isfinite(value):
         return DEVIATION_NOT_KNOWN
-    return min(round(math.degrees(value) / DEGREES_PER_DEVIATION_BIT), DEVIATION_NOT_KNOWN - 1)
+    return min(round(math.degrees(value) / 0.005), DEVIATION_NOT_KNOWN - 1)
 
 
 def _quaternion(host: Host) -> bytes:
@@ -96,22 +93,23 @@ def _waiting(host: Host) -> bytes:
 
 def _counters(host: Host) -> bytes:
     c = host.counts()
-    return _u32(c.received, c.used, c.rejected, c.lost, c.conflicts, c.sent)
+    return u32(c.received, c.used, c.rejected, c.lost, c.conflicts, c.sent)
 
 
 def _faults(host: Host) -> bytes:
     faults = host.counts().faults
-    return _u32(*(faults.get(reason, 0) for reason in COUNTED_FAULTS))
+    return u32(*(faults.get(reason, 0) for reason in COUNTED_FAULTS))
 
 
-def _u32(*values: int) -> bytes:
+def u32(*values: int) -> bytes:
+    """Return counters as four bytes each; a larger number is sent as the largest."""
     return struct.pack(f">{len(values)}I", *(min(v, 0xFFFF_FFFF) for v in values))
 
 
 def _vin(host: Host) -> bytes | None:
     """Return the vehicle's identity if it has the form of a VIN."""
     text = host.identity.vehicle
-    ok = len(text) == VIN_BYTES and text.isascii() and text.isalnum()
+    ok = len(text) == 17 and text.isascii() and text.isalnum()
     return text.encode("ascii") if ok else None
 
 
@@ -129,7 +127,7 @@ IDENTIFIERS: Mapping[int, Identifier] = {
     0xFD07: Identifier("vehicle identity", lambda s: encodable(s.identity.vehicle).encode()),
     0xFD08: Identifier("frame counters", _counters),
     0xFD09: Identifier("rejections by reason", _faults),
-    0xFD0A: Identifier("uptime", lambda s: _u32(int(s.uptime))),
+    0xFD0A: Identifier("uptime", lambda s: u32(int(s.uptime))),
 }
 """The server adds the active session (0xF186) and its own counters (0xFD0B)."""
 

@@ -33,7 +33,6 @@ LONGEST_RESPONSE_S: Final = 10.0
 response is aborted."""
 BUSY_WAIT_S: Final = 0.005
 """Time until the next call of `poll` while a response is being sent [s]."""
-SINGLE_FRAME_BYTES: Final = 7
 
 CanFrame = tuple[int, bytes]
 """Id (with the flag for 29 bits) and payload of a frame to send."""
@@ -163,7 +162,7 @@ class IsoTpChannel:
         """Process a request to all nodes. Such a request must be a single frame; longer requests
         are not answered."""
         length = data[0] if data else 0
-        if not 1 <= length <= SINGLE_FRAME_BYTES or len(data) <= length:
+        if not 1 <= length <= 7 or len(data) <= length:
             self.counters["not_a_functional_request"] += 1
             return
         self._answer(data[1 : 1 + length], to_all=True)

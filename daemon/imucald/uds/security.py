@@ -12,7 +12,6 @@ REQUEST_SEED = 0x01
 SEND_KEY = 0x02
 SEED_BYTES = 16
 """Length of the seed [bytes]: one AES block, for key functions that encrypt the seed."""
-MAX_KEY_BYTES = 64
 
 KeyFunction = Callable[[bytes], bytes]
 """Function that computes the key from the seed. The function runs in the daemon's loop, so it must
@@ -76,7 +75,7 @@ class Security:
         return bytes([REQUEST_SEED]) + self._seed
 
     def _take_key(self, key: bytes) -> Answer:
-        if not 1 <= len(key) <= MAX_KEY_BYTES:
+        if not 1 <= len(key) <= 64:
             return Nrc.INCORRECT_LENGTH
         if self._is_closed():
             return Nrc.DELAY_NOT_EXPIRED

@@ -9,11 +9,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from imucald.uds.codes import (
-    EVERY_SESSION,
-    EXTENDED_ONLY,
     NEGATIVE,
     POSITIVE,
     SUPPRESS,
@@ -22,27 +21,22 @@ from imucald.uds.codes import (
     Session,
     Sid,
 )
-from imucald.uds.dtc_memory import DtcMemory
+from imucald.uds.dtc import DtcMemory
 from imucald.uds.dtc_services import (
     BY_MASK,
     COUNT_BY_MASK,
     EXTENDED_DATA,
     SUPPORTED,
-    ClearDtcs,
-    ReadDtcs,
+    clear_dtcs,
+    read_dtcs,
 )
 from imucald.uds.host import Host
-from imucald.uds.identifiers import Identifier, ReadData
+from imucald.uds.identifiers import Identifier, ReadData, u32
 from imucald.uds.routines import RESULTS, START, STOP, Routines
 from imucald.uds.security import REQUEST_SEED, SEND_KEY, Security
 
 S3_S: Final = 5.0
 """A session ends after this time without a request [s]."""
-P2_MS: Final = 50
-"""Longest time until a response starts [ms]: at most one cycle of the daemon's loop."""
-P2_STAR_10MS: Final = 500
-"""Longest time to a response after "response pending" [10 ms]. ISO 14229-1 requires this value, but
-"response pending" is never sent."""
 
 NOT_ANSWERED_TO_ALL: Final = frozenset(
     {
@@ -66,7 +60,7 @@ class UdsService:
     """
 
     answer: Callable[[bytes], Answer]
-    sessions: frozenset[Session] = EVERY_SESSION
+    sessions: frozenset[Session] = frozenset(Session)
     shortest: int = 2
     sub_functions: frozenset[int] | None = None
 
@@ -114,19 +108,19 @@ class Server:
             ),
             Sid.TESTER_PRESENT: UdsService(_tester_present, sub_functions=frozenset({0})),
             Sid.READ_DATA: UdsService(ReadData(host, own).answer, shortest=3),
-            Sid.CLEAR_DTCS: UdsService(ClearDtcs(self.dtcs).answer, shortest=4),
+            Sid.CLEAR_DTCS: UdsService(partial(clear_dtcs, self.dtcs), shortest=4),
             Sid.READ_DTCS: UdsService(
-                ReadDtcs(self.dtcs).answer,
+                partial(read_dtcs, self.dtcs),
                 sub_functions=frozenset({COUNT_BY_MASK, BY_MASK, EXTENDED_DATA, SUPPORTED}),
             ),
             Sid.SECURITY_ACCESS: UdsService(
                 self.security.answer,
-                sessions=EXTENDED_ONLY,
+                sessions=frozenset({Session.EXTENDED}),
                 sub_functions=frozenset({REQUEST_SEED, SEND_KEY}),
             ),
             Sid.ROUTINE_CONTROL: UdsService(
                 self._routines.answer,
-                sessions=EXTENDED_ONLY,
+                sessions=frozenset({Session.EXTENDED}),
                 shortest=4,
                 sub_functions=frozenset({START, STOP, RESULTS}),
             ),
@@ -177,7 +171,9 @@ class Server:
         if len(data) != 1:
             return Nrc.INCORRECT_LENGTH
         self._enter(Session(data[0]))
-        return struct.pack(">BHH", data[0], P2_MS, P2_STAR_10MS)
+        # P2: a response starts within 50 ms, one cycle of the daemon's loop. P2*: 5 s, required by
+        # ISO 14229-1, although "response pending" is never sent.
+        return struct.pack(">BHH", data[0], 50, 500)
 
     def _enter(self, session: Session) -> None:
         self.session = session
@@ -185,8 +181,7 @@ class Server:
 
     def _counted(self) -> bytes:
         c = self.counters
-        values = (c.requests, c.refused, self.security.refused, c.ended_sessions)
-        return struct.pack(">4I", *(min(v, 0xFFFF_FFFF) for v in values))
+        return u32(c.requests, c.refused, self.security.refused, c.ended_sessions)
 
 
 def _tester_present(data: bytes) -> Answer:

@@ -16,11 +16,7 @@ from imucald.fleet.analysis.units import MAX_Q
 FEW_VEHICLES = 3
 """Smallest number of vehicles with a cause for which the verdict may be "design", even if the type
 has few vehicles."""
-IN_BRACKETS = re.compile(r"\s*\([^)]*\)")
-FIGURES = re.compile(r"\d+(\.\d+)?")
 UNKNOWN = "unknown"
-DIAGNOSED = "diagnosed: "
-"""Prefix of the causes that `fleet run --diagnose` found."""
 
 
 def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
@@ -39,7 +35,7 @@ def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     for vehicle, kind, causes, found_by_diagnosis in zip(*of_drive, strict=True):
         kind_of[str(vehicle)] = str(kind or UNKNOWN)
         names = json.loads(causes or "[]")
-        names += [f"{DIAGNOSED}{name}" for name in json.loads(found_by_diagnosis or "[]")]
+        names += [f"diagnosed: {name}" for name in json.loads(found_by_diagnosis or "[]")]
         for cause in names:
             having[cause].add(str(vehicle))
     size = Counter(kind_of.values())
@@ -112,7 +108,8 @@ def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, An
         total[kind_name] += 1
         if usable is None:
             text = next((w for w in waiting if w), "not reported")
-            reason = re.sub(r"\s+", " ", FIGURES.sub("N", IN_BRACKETS.sub("", text))).strip()
+            text = re.sub(r"\d+(\.\d+)?", "N", re.sub(r"\s*\([^)]*\)", "", text))
+            reason = " ".join(text.split())
             drives[kind_name, reason] += 1
             vehicles[kind_name, reason].add(str(vehicle))
     return [

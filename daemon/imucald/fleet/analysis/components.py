@@ -8,17 +8,16 @@ differences between the vehicles of a type.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
+from scipy.special import digamma, polygamma
 from scipy.stats import chi2
 
 from imucald.core.arrays import Array, Index
 
-MEDIAN_CHI2 = float(chi2.median(1))
-WITHIN_95 = float(chi2.ppf(0.95, 1))
 LARGEST = 180.0**2
 """Upper limit of a mount's variance [deg^2]."""
 
@@ -81,8 +80,10 @@ def _found(deviance: Callable[[float], float], freedom: int) -> VarianceComponen
         (float(best.x), float(best.fun)) if best.fun < values[k] else (float(grid[k]), values[k])
     )
 
+    within_95 = float(chi2.ppf(0.95, 1))
+
     def above(other: float) -> float:
-        return of_root(other) - least - WITHIN_95
+        return of_root(other) - least - within_95
 
     left = 0.0 if above(0.0) <= 0.0 else float(brentq(above, 0.0, x))
     top = float(grid[-1])
@@ -102,6 +103,51 @@ def robust_variance(squares: Array, known: Array) -> float:
         return 0.0
 
     def surplus(D: float) -> float:
-        return float(np.median(squares / (D + known))) - MEDIAN_CHI2
+        return float(np.median(squares / (D + known))) - float(chi2.median(1))
 
     return 0.0 if surplus(0.0) <= 0.0 else float(brentq(surplus, 0.0, LARGEST))
+
+
+def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array, Array]:
+    """Return the moderated variance T between vehicles (kinds, 3) [deg^2] for tests and shrinkage,
+    and the degrees of freedom (kinds,) of T + V.
+
+    V: (kinds, 3) usual variance of a vehicle's mean. A type with one vehicle gets the common T.
+
+    Each variance is combined with the common distribution of all types (empirical Bayes; Smyth,
+    Stat. Appl. Genet. Mol. Biol. 3, 2004). The logarithm of a variance with d degrees of freedom
+    has a random scatter with the variance trigamma(d / 2). The additional scatter between types
+    determines the weight of the common variance, as a number of degrees of freedom.
+    """
+    own = np.array([[axis.value for axis in kind] for kind in T]).reshape(-1, 3)
+    freedom = np.array([kind[0].freedom for kind in T], dtype=float)
+    judged = freedom > 0
+    if judged.sum() < 2:
+        fallback = own[judged][0] if judged.any() else np.zeros(3)
+        return np.where(judged[:, None], own, fallback), np.maximum(freedom, 1.0)
+    d = freedom[judged, None]
+    s2 = np.maximum(own[judged] + V[judged], 1e-6)
+    e = np.log(s2) - digamma(d / 2.0) + np.log(d / 2.0)
+    common = e.mean(axis=0)
+    spread = ((e - common) ** 2).sum() / (3.0 * (len(e) - 1))
+    beyond = float(spread - polygamma(1, d / 2.0).mean())
+    worth = min(_freedom(beyond), float(freedom.sum()))
+    # with an infinitely strong prior the mean of the logarithms is the logarithm of the variance
+    # itself
+    s0 = (
+        np.exp(common + digamma(worth / 2.0) - np.log(worth / 2.0))
+        if beyond > 0
+        else np.exp(common)
+    )
+    total = freedom[:, None] + worth
+    mixed = (worth * s0 + freedom[:, None] * np.maximum(own + V, 1e-6)) / total
+    return np.maximum(mixed - V, 0.0), total[:, 0]
+
+
+def _freedom(beyond: float) -> float:
+    """Return the degrees of freedom d for which trigamma(d / 2) equals `beyond`; a very large
+    number if there is no additional scatter."""
+    most = 1e6
+    if beyond <= float(polygamma(1, most / 2.0)):
+        return most
+    return 2.0 * float(brentq(lambda x: float(polygamma(1, x)) - beyond, 1e-3, most))

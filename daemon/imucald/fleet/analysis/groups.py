@@ -11,7 +11,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
 from imucald.core.arrays import Array, Flags, Index
-from imucald.fleet.analysis.units import MAX_Q, Units, t_quantile, t_weights
+from imucald.fleet.analysis.units import MAX_Q, Units, sums_by, t_quantile, t_weights
 
 Codes = Mapping[str, tuple[list[str], Index]]
 """For each column: the names of the groups, and the group index of each vehicle (-1: not known)."""
@@ -22,24 +22,19 @@ LEAST_GROUP = 5
 
 @dataclass(frozen=True)
 class GroupEffect:
-    """Difference between the vehicles of a group and the other vehicles of the same types. p and q
-    are NaN if there are too few vehicles."""
+    """Difference between the vehicles of a group and the other vehicles of the same types: effect
+    and half width of its 95 % interval (3,) [deg]. p and q are NaN if there are too few
+    vehicles."""
 
     column: str
     name: str
     vehicles: int
     kinds: int
     effect: Array
-    covariance: Array
+    half_width: Array
     p: float
-    freedom: float
     q: float = float("nan")
     found: bool = False
-
-    @property
-    def half_width(self) -> Array:
-        """Half width of the 95 % interval (3,) [deg]."""
-        return t_quantile(self.freedom) * np.sqrt(np.diagonal(self.covariance))
 
 
 def group_codes(values: Sequence[str | None]) -> tuple[list[str], Index]:
@@ -85,36 +80,28 @@ def _effects(
     vehicles = np.bincount(index[index >= 0], minlength=len(names))
     mine = used & (index >= 0)
     pairs, pair = np.unique(index[mine] * units.kinds + units.kind[mine], return_inverse=True)
-    inside = _summed(sums[mine], pair, len(pairs))
+    inside = sums_by(sums[mine], pair, len(pairs))
     group, kind = np.divmod(pairs, units.kinds)
-    outside = _summed(sums[used], units.kind[used], units.kinds)[kind] - inside
+    outside = sums_by(sums[used], units.kind[used], units.kinds)[kind] - inside
     # if a whole type belongs to this batch, the two cannot be separated
     beside = outside[:, 9] > 0.5
     inside, outside, group = inside[beside], outside[beside], group[beside]
     (mean, variance), (of_others, their_variance) = _mean(inside), _mean(outside)
     precision = 1.0 / (variance + their_variance)
-    total = _summed(precision, group, len(names))
-    weighted = _summed(precision * (mean - of_others), group, len(names))
+    total = sums_by(precision, group, len(names))
+    weighted = sums_by(precision * (mean - of_others), group, len(names))
     kinds = np.bincount(group, minlength=len(names))
     freedom = np.bincount(group, inside[:, 9] + outside[:, 9] - 2.0, len(names))
     found = []
     for i, name in enumerate(names):
         judged = vehicles[i] >= LEAST_GROUP and kinds[i] > 0
         effect = weighted[i] / total[i] if judged else np.full(3, np.nan)
-        covariance = np.diag(1.0 / total[i]) if judged else np.full((3, 3), np.nan)
-        p = _p_of(float((effect**2 * total[i]).sum()), freedom[i]) if judged else float("nan")
-        found.append(
-            GroupEffect(
-                column, name, int(vehicles[i]), int(kinds[i]), effect, covariance, p, freedom[i]
-            )
-        )
+        half = t_quantile(freedom[i]) / np.sqrt(total[i]) if judged else np.full(3, np.nan)
+        # the scale of the three normal variables was estimated with `freedom` degrees of freedom
+        square = float((effect**2 * total[i]).sum()) / 3.0
+        p = float(f_distribution.sf(square, 3, max(freedom[i], 1))) if judged else float("nan")
+        found.append(GroupEffect(column, name, int(vehicles[i]), int(kinds[i]), effect, half, p))
     return found
-
-
-def _summed(values: Array, index: Index, length: int) -> Array:
-    total = np.zeros((length, values.shape[1]))
-    np.add.at(total, index, values)
-    return total
 
 
 def _mean(sums: Array) -> tuple[Array, Array]:
@@ -123,22 +110,15 @@ def _mean(sums: Array) -> tuple[Array, Array]:
     return sums[:, 3:6] / weight, sums[:, 6:9] / weight**2
 
 
-def _p_of(square: float | Array, freedom: float) -> float:
-    """Return the probability of a sum of squares that is at least as large as `square`. The sum is
-    over three normal variables whose scale was estimated with `freedom` degrees of freedom."""
-    return float(f_distribution.sf(square / 3.0, 3, max(freedom, 1)))
-
-
 def _with_q(effects: Sequence[GroupEffect]) -> list[GroupEffect]:
     judged = [g for g in effects if np.isfinite(g.p)]
     if not judged:
         return list(effects)
     q = dict(zip(map(id, judged), false_discovery_control([g.p for g in judged]), strict=True))
-    return [_judged(g, float(q.get(id(g), np.nan))) for g in effects]
-
-
-def _judged(g: GroupEffect, q: float) -> GroupEffect:
-    return replace(g, q=q, found=g.found or q <= MAX_Q)
+    return [
+        replace(g, q=float(q.get(id(g), np.nan)), found=g.found or q.get(id(g), 1.0) <= MAX_Q)
+        for g in effects
+    ]
 
 
 def group_offsets(units: Units, effects: Sequence[GroupEffect], codes: Codes) -> Array:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from imucald.core.arrays import Array, Index
+from imucald.fleet.columns import COVARIANCES
 from imucald.mount.estimate import GOOD_NAMES
 
 FLOOR_DEG2 = 1e-4
 """Smallest variance of a drive [deg^2], from a deviation of 0.01 deg. No estimate is more accurate,
 even if its stated variance is smaller."""
-DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def known_drives(columns: Mapping[str, Sequence[Any]], moved: Collection[str] = 
     """
     state = np.array(columns["state"], dtype=object)
     numbers = np.array(
-        [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")],
+        [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *COVARIANCES, "crown_std_deg")],
         dtype=float,
     ).T
     good = np.isin(state, GOOD_NAMES) & np.isfinite(numbers).all(axis=1)
@@ -103,7 +103,7 @@ def _times(columns: Mapping[str, Sequence[Any]]) -> tuple[Array, Array]:
     for i in np.flatnonzero(np.isnan(begin)).tolist():
         day = columns["date"][i]
         midnight = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp() if day else np.inf
-        begin[i], end[i] = midnight, midnight + DAY_S
+        begin[i], end[i] = midnight, midnight + 86_400.0
     return begin, end
 
 
@@ -132,9 +132,6 @@ def _is_moved(shifts: Index, is_after: NDArray[np.bool_], vehicle: Index) -> NDA
         before = before if same and not is_after[i - 1] else i - 1
         found[i] = bool(same and is_after[i] and shifts[i] > shifts[before])
     return found
-
-
-_COVARIANCE = tuple(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
 
 
 def _without_crown(pairs: Array, crown: Array) -> Array:

@@ -17,8 +17,13 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
-from imucald.core.arrays import Array, Flags, Index
-from imucald.fleet.analysis.components import VarianceComponent, between_vehicles, robust_variance
+from imucald.core.arrays import Array, Flags
+from imucald.fleet.analysis.components import (
+    VarianceComponent,
+    between_vehicles,
+    moderated,
+    robust_variance,
+)
 from imucald.fleet.analysis.groups import (
     GroupEffect,
     group_codes,
@@ -26,8 +31,7 @@ from imucald.fleet.analysis.groups import (
     group_offsets,
 )
 from imucald.fleet.analysis.known_drives import between, turned
-from imucald.fleet.analysis.moderation import moderated
-from imucald.fleet.analysis.units import MAX_Q, T_FREEDOM, Units, t_weights
+from imucald.fleet.analysis.units import MAX_Q, T_FREEDOM, Units, sums_by, t_weights
 
 ROUNDS = 12
 RESTARTS = 4
@@ -91,15 +95,9 @@ def _robust(units: Units, offset: Array) -> tuple[Rotation, Array, Array]:
             mine = units.kind == k
             T[k] = [robust_variance(e[mine, a] ** 2, units.v[mine, a]) for a in range(3)]
         w = t_weights(e, T[units.kind] + units.v)[:, None] / (T[units.kind] + units.v)
-        total = _sum(w, units.kind, units.kinds)
-        centre = turned(centre, _sum(w * e, units.kind, units.kinds) / np.maximum(total, 1e-12))
+        total = sums_by(w, units.kind, units.kinds)
+        centre = turned(centre, sums_by(w * e, units.kind, units.kinds) / np.maximum(total, 1e-12))
     return centre, between(rotation, centre[units.kind]), T
-
-
-def _sum(values: Array, kind: Index, kinds: int) -> Array:
-    total = np.zeros((kinds, *values.shape[1:]))
-    np.add.at(total, kind, values)
-    return total
 
 
 def _first_centres(rotation: Rotation, units: Units) -> Rotation:
@@ -134,8 +132,8 @@ def _without_outliers(
     parts, tau2, freedom = _components(units, e, odd)
     w = np.where(odd[:, None], 0.0, 1.0 / (tau2[units.kind] + units.v))
     w *= np.where((offset != 0.0).any(axis=1) & _has_others(units, offset, odd), 0.0, 1.0)[:, None]
-    total = np.maximum(_sum(w, units.kind, units.kinds), 1e-12)
-    centre = turned(centre, _sum(w * e, units.kind, units.kinds) / total)
+    total = np.maximum(sums_by(w, units.kind, units.kinds), 1e-12)
+    centre = turned(centre, sums_by(w * e, units.kind, units.kinds) / total)
     e = between(rotation, centre[units.kind])
     covariance = np.array([np.diag(1.0 / row) for row in total]).reshape(-1, 3, 3)
     return Population(centre, e, offset, parts, tau2, freedom, covariance, p, q, odd, groups)
@@ -150,7 +148,7 @@ def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
     """Return for each vehicle whether its type has at least `LEAST_PLAIN` vehicles that are neither
     outliers nor in a bad batch."""
     plain = ~odd & (offset == 0.0).all(axis=1)
-    count = _sum(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]
+    count = sums_by(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]
     return np.asarray(count[units.kind] >= LEAST_PLAIN)
 
 
@@ -173,7 +171,7 @@ def _leave_one_out(units: Units, e: Array, odd: Flags, tau2: Array, freedom: Arr
     vehicles of its type, without outliers."""
     wide = tau2[units.kind] + units.v
     w = np.where(odd[:, None], 0.0, 1.0 / wide)
-    total, weighted = (_sum(x, units.kind, units.kinds)[units.kind] for x in (w, w * e))
+    total, weighted = (sums_by(x, units.kind, units.kinds)[units.kind] for x in (w, w * e))
     others = np.maximum(total - w, 1e-12)
     mean = (weighted - w * e) / others
     squares = ((e - mean) ** 2 / (wide + 1.0 / others)).sum(axis=1)

@@ -45,7 +45,6 @@ class Remounts:
 
     drive: Index
     turn: Array
-    covariance: Array
     p: Array
     q: Array
     D: Array
@@ -176,7 +175,7 @@ def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
     padded[: len(p)] = p
     q = false_discovery_control(padded)[: len(p)] if len(padded) else p
     segment = _segments(drives, np.union1d(drive[q <= MAX_Q], moved))
-    return Remounts(drive, turn, spread, p, q, D, [], null.widening, segment)
+    return Remounts(drive, turn, p, q, D, [], null.widening, segment)
 
 
 def _segments(drives: KnownDrives, cuts: Index) -> Index:

@@ -38,6 +38,13 @@ class Units:
         return np.diagonal(self.V, axis1=1, axis2=2)
 
 
+def sums_by(values: Array, index: Index, length: int) -> Array:
+    """Return the sums (length, m) of the rows of `values` (n, m) with the same index (n,)."""
+    total = np.zeros((length, values.shape[1]))
+    np.add.at(total, index, values)
+    return total
+
+
 def t_quantile(freedom: float) -> float:
     """Half width of the 95 % interval of a t distribution, in standard deviations."""
     return float(t_distribution.ppf(0.975, max(freedom, 1.0)))

@@ -14,14 +14,6 @@ from imucald.runtime.output.output_message import (
     OutputMessage,
 )
 
-DEVIATION_MAX = 327.67
-"""Largest deviation that the signals for deviations can represent [deg]."""
-GRADE_DEVIATION_MAX = 655.34
-"""Largest deviation of the grade that is sent [%]."""
-RATE_DEVIATION_MAX = 6.5534
-"""Largest deviation of the turn rates that is sent [deg/s]."""
-HEADING_LSB = 0.01
-
 
 class AttitudeFrames:
     """Encodes attitude estimates in the frames of one configuration. angles: the frame with roll,
@@ -70,14 +62,9 @@ class AttitudeFrames:
             return [m.frame(nothing) for m in self.messages()]
         e, state = estimate, int(estimate.state)
         angles = (e.roll * DEG_PER_RAD, e.pitch * DEG_PER_RAD, bearing(e.heading), state)
-        std = (*(min(s * DEG_PER_RAD, DEVIATION_MAX) for s in e.std), state)
+        std = (*(s * DEG_PER_RAD for s in e.std), state)
         rates = (*(rate * DEG_PER_RAD for rate in e.rate), state)
-        grade = (
-            100.0 * e.grade,
-            min(100.0 * e.grade_std, GRADE_DEVIATION_MAX),
-            min(max(e.rate_std) * DEG_PER_RAD, RATE_DEVIATION_MAX),
-            state,
-        )
+        grade = (100.0 * e.grade, 100.0 * e.grade_std, max(e.rate_std) * DEG_PER_RAD, state)
         free = (*e.free_acceleration, state)
         return [
             message.frame([None if math.isnan(v) else v for v in values])
@@ -92,4 +79,4 @@ def bearing(heading: float) -> float:
     if math.isnan(heading):
         return heading
     degrees = (heading * DEG_PER_RAD) % 360.0
-    return degrees if degrees < 360.0 - 0.5 * HEADING_LSB else 0.0
+    return degrees if degrees < 360.0 - 0.005 else 0.0

@@ -9,7 +9,6 @@ single frames give the same bytes, including counters.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
@@ -27,18 +26,10 @@ from imucald.runtime.output.output_message import (
     output_database,
 )
 
-if TYPE_CHECKING:
-    from imucald.runtime.output.attitude_frames import AttitudeFrames
-    from imucald.runtime.output.travel_frames import TravelFrames
-
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
 STATUS_FRAMES = 5
 """Number of status frames per snapshot: one for the mount, three for deviations, one for health."""
-CROSS_TALK_MAX, ZERO_MAX = 20.47, 4.094
-"""Largest deviations that are sent [deg], [m/s^2]. Larger deviations are sent as these values."""
-REJECTED_MAX = 65534
-LOST_MAX = 4094
 
 _LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
     "acceleration": ("IMUCALD_Acceleration", ("AccelX", "AccelY", "AccelZ"), 1.0),
@@ -125,7 +116,10 @@ class OutputFrames:
         self._checksum = output.checksum
         self._corrected = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
         self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
-        self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
+        mount = [f"Mount{angle.capitalize()}" for angle in ANGLES]
+        self._mount = self._message(
+            "IMUCALD_Mount", ids.mount, mount, "State", NOT_AVAILABLE_SIGNED
+        )
         self._deviation = self._deviations(
             "IMUCALD_MountDeviation", "XYZ", ids.mount_deviation, NOT_AVAILABLE_UNSIGNED
         )
@@ -149,8 +143,16 @@ class OutputFrames:
             {},
         )
 
-        self.attitude = _attitude_frames(config) if config.attitude.enabled else None
-        self.travel = _travel_frames(config) if config.travel_direction.enabled else None
+        self.attitude: AttitudeFrames | None = None
+        self.travel: TravelFrames | None = None
+        if config.attitude.enabled:
+            from imucald.runtime.output.attitude_frames import AttitudeFrames  # noqa: PLC0415
+
+            self.attitude = AttitudeFrames(config)
+        if config.travel_direction.enabled:
+            from imucald.runtime.output.travel_frames import TravelFrames  # noqa: PLC0415
+
+            self.travel = TravelFrames(config)
 
     def message_of(self, channel: str) -> OutputMessage:
         """Return the message in which a channel of `triads` is sent."""
@@ -190,10 +192,6 @@ class OutputFrames:
     def _triad(self, kind: str, can_id: int) -> OutputMessage:
         name, signals, _ = _LAYOUTS[kind]
         return self._message(name, can_id, signals, "Quality", NOT_AVAILABLE_SIGNED)
-
-    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> OutputMessage:
-        signals = [pattern.format(part.capitalize()) for part in parts]
-        return self._message(name, can_id, signals, "State", NOT_AVAILABLE_SIGNED)
 
     def _deviations(
         self, name: str, entries: Sequence[str], can_id: int, missing: int = NOT_AVAILABLE_12
@@ -237,17 +235,18 @@ class OutputFrames:
         std = estimate.std if usable else None
         nothing: tuple[None, None, None] = (None, None, None)
         angle_values = [v * DEG_PER_RAD for v in angles] if angles else nothing
-        std_values = [min(v * DEG_PER_RAD, 327.67) for v in std] if std else nothing
+        std_values = [v * DEG_PER_RAD for v in std] if std else nothing
         sent = estimate.sent if usable else None
         cross_talk, zero = _of_sent(sent)
         waiting = [int(estimate.missing.get(a, _default(estimate, a))) for a in ANGLES]
-        counts = (min(health.rejected, REJECTED_MAX), min(health.lost, LOST_MAX))
         return [
             self._mount.frame((*angle_values, state)),
             self._deviation.frame((*std_values, state)),
             self._cross_talk.frame((*cross_talk, state)),
             self._zero.frame((*zero, state)),
-            self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
+            self._health.frame(
+                (state, *waiting, *map(float, health.flags), health.rejected, health.lost)
+            ),
         ]
 
 
@@ -258,25 +257,9 @@ def _of_sent(
     zero error and turn rate. All deviations are None if `sent` is None."""
     if sent is None:
         return (None,) * 4, (None,) * 4
-
-    def degrees(*values: float) -> list[float]:
-        return [min(v * DEG_PER_RAD, CROSS_TALK_MAX) for v in values]
-
-    zero = [min(v, ZERO_MAX) for v in (sent.zero_x, sent.zero_y)]
-    cross_talk = degrees(sent.xy, sent.yx, sent.zx, sent.zy)
-    return cross_talk, [*zero, *degrees(sent.rate_xz, sent.rate_yz)]
-
-
-def _attitude_frames(config: Config) -> AttitudeFrames:
-    from imucald.runtime.output.attitude_frames import AttitudeFrames  # noqa: PLC0415
-
-    return AttitudeFrames(config)
-
-
-def _travel_frames(config: Config) -> TravelFrames:
-    from imucald.runtime.output.travel_frames import TravelFrames  # noqa: PLC0415
-
-    return TravelFrames(config)
+    cross_talk = [v * DEG_PER_RAD for v in (sent.xy, sent.yx, sent.zx, sent.zy)]
+    rates = [v * DEG_PER_RAD for v in (sent.rate_xz, sent.rate_yz)]
+    return cross_talk, [sent.zero_x, sent.zero_y, *rates]
 
 
 def _default(estimate: MountEstimate, angle: str) -> Missing:

@@ -42,7 +42,8 @@ def output_database() -> Database:
 
 
 class OutputMessage:
-    """Encodes the frames of one message. A value that does not fit is sent as *not available*.
+    """Encodes the frames of one message. A value that does not fit is sent as *not available*; a
+    deviation or count is sent as the largest one.
 
     message: name of the message in `output_database`. not_available: for each signal name, the raw
     value for *not available*.
@@ -67,6 +68,17 @@ class OutputMessage:
     def _plan(self) -> EncodePlan:
         message = output_database().message(self._message)
         return compile_encode(message, self._signals, self._not_available)
+
+    @cached_property
+    def _limits(self) -> list[tuple[int, float]]:
+        """Positions and largest numbers of deviations and counts. A larger number is sent as the
+        largest, because it must not look unknown."""
+        message = output_database().message(self._message)
+        return [
+            (i, message.signal(name).maximum or 0.0)
+            for i, name in enumerate(self._signals)
+            if name.startswith("Deviation") or name.endswith("Count")
+        ]
 
     @cached_property
     def _protector(self) -> MessageProtector:
@@ -110,7 +122,7 @@ class OutputMessage:
 
     def prepare(self) -> None:
         """Compile the message now, so that the first frame takes no longer than later frames."""
-        _ = self._plan, self._protector
+        _ = self._plan, self._protector, self._limits
 
     @cached_property
     def _nothing(self) -> bytes:
@@ -127,6 +139,11 @@ class OutputMessage:
     def frame(self, values: Sequence[float | None]) -> OutFrame:
         """Return a frame with the given values, in the units of the message; None means *not
         available*."""
+        if self._limits:
+            values = list(values)
+            for i, largest in self._limits:
+                value = values[i]
+                values[i] = None if value is None else min(value, largest)
         return self.can_id, self._protector.protect(self._plan.encode(values))
 
     def payloads(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:

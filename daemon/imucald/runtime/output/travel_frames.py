@@ -8,12 +8,7 @@ from imucald.runtime.output.attitude_frames import bearing
 from imucald.runtime.output.output_message import NOT_AVAILABLE_UNSIGNED, OutFrame, OutputMessage
 from imucald.travel_direction.direction import Step, TravelState
 
-STEPS_MAX = 65534
-
-
 WALKS = frozenset({TravelState.WALKING, TravelState.TURNING, TravelState.AMBIGUOUS})
-DEVIATION_MAX = 327.67
-"""Largest deviation that the signals for deviations can represent [deg]."""
 
 
 class TravelFrames:
@@ -46,11 +41,10 @@ class TravelFrames:
         """Return the frames after a step. Headings are available only while the person walks. A
         heading that may be wrong by 180 deg is sent only as an axis (without direction).
         """
-        count = min(steps, STEPS_MAX)
         if step is None or state not in WALKS:
             nothing = (None, None, None, int(state))
             return [
-                self._message.frame((None, None, count, int(state))),
+                self._message.frame((None, None, steps, int(state))),
                 self._deviation.frame(nothing),
             ]
         heading, compass = (
@@ -61,12 +55,12 @@ class TravelFrames:
             heading = None
         deviation, ahead = step.deviation, step.ahead
         sure = (
-            None if deviation is None else min(deviation * DEG_PER_RAD, DEVIATION_MAX),
+            None if deviation is None else deviation * DEG_PER_RAD,
             None if ahead is None else 100.0 * ahead,
             axis,
             int(state),
         )
         return [
-            self._message.frame((heading, compass, count, int(state))),
+            self._message.frame((heading, compass, steps, int(state))),
             self._deviation.frame(sure),
         ]
