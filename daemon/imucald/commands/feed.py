@@ -17,6 +17,7 @@ from imucald.core.libraries import how_to_install
 if TYPE_CHECKING:
     from imucald.feeds.feed_loop import Receiver
 
+LIBRARIES = {"mqtt": "paho", "kuksa": "kuksa_client", "foxglove": "foxglove"}
 MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT, FOXGLOVE_PORT = 1883, 8883, 55555, 8765
 TARGETS = {
     "mqtt": "to an MQTT broker, as JSON",
@@ -134,7 +135,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.feeds.feed_loop import Feed
     from imucald.service.exposition import bus_of
 
-    library = {"mqtt": "paho", "kuksa": "kuksa_client", "foxglove": "foxglove"}[options.target]
+    library = LIBRARIES[options.target]
     if importlib.util.find_spec(library) is None:
         extra = options.target
         raise ImucaldError(f"feed {extra} needs a library: {how_to_install(extra)}")
