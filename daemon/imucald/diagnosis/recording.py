@@ -21,9 +21,9 @@ from imucald.inputs.wiring import compile_router
 from imucald.runtime.timebase import TimeBase
 
 SAME_CHANGES = 64
-"""Number of successive new values of sensor noise that never occur twice. `can.logs.first_frames`
-uses the same number for frames. A sensor that shows one constant value at standstill cannot show
-that two recordings are equal."""
+"""Number of successive new values of sensor noise that never occur twice. The module
+`can.logs.recording_files` uses the same number for frames. A sensor that shows one constant value
+at standstill cannot show that two recordings are equal."""
 
 
 @dataclass(frozen=True)

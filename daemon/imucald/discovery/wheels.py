@@ -20,6 +20,9 @@ SAME_SPEED = 0.1
 SIDE_BY_SIDE = 0.98
 """Smallest correlation between the wheel speeds in a drive. Wheel speeds of one vehicle differ only
 in bends and by slip."""
+HALF_SQUARE = (1.5, 12.0)
+"""Range of half of the square of a wheelbase [m^2], for 2 m to 5 m. Side-slip reduces the measured
+value."""
 
 IN_ORDER = "right wheels are faster in left turns"
 BY_TURNS = "left and right follow from the yaw rate"
@@ -127,7 +130,8 @@ def _by_turns(
         """
         found = relation(squared, less((table[:, a] - table[:, b]) / v, known))
         first, second = (b, a) if found.sign < 0 else (a, b)
-        return first, second, found.is_believed_of(2)
+        low, high = HALF_SQUARE
+        return first, second, found.is_believed_of(2) and low < found.low < high
 
     front_left, rear_left, sure_left = front_first(*left)
     front_right, rear_right, sure_right = front_first(*right)
