@@ -46,7 +46,7 @@ def _is_quiet(
         return False
     if rate[1] >= MAX_ZERO_ERROR * max(settings.gyro_start):
         return False
-    return force[0] < settings.rest_accel_spread**2 if has_speed else feels_parked(*force)
+    return force[0] < settings.rest_accel_spread**2 and (has_speed or feels_parked(*force))
 
 
 class _TriadSums:

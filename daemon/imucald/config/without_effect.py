@@ -53,7 +53,6 @@ B_NEEDS_SPEED = (
     *(("compensation", key) for key in ("average", "interval", "timeout", "speed_is")),
     ("compensation", "centripetal"),
     ("filter", "start"),
-    ("filter", "rest_accel_spread"),
 )
 """Keys of `attitude` that method B alone reads only with a speed. Without a speed, each rest must
 last `filter.check`, as still as a parked vehicle."""
