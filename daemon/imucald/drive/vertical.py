@@ -37,11 +37,13 @@ these ticks.
 class CarriedVertical:
     """Integrates the vertical from block to block.
 
-    up: (3,) present vertical; None before any block. The object also keeps the sensitivity of the
-    vertical to cross-talk of the gyroscope (3, 3), and the time since the start.
+    up: (3,) present vertical; None before any block. pull_s: time constant of the correction
+    towards the accelerometer [s]. The object also keeps the sensitivity of the vertical to
+    cross-talk of the gyroscope (3, 3), and the time since the start.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, pull_s: float = PULL_S) -> None:
+        self._pull_s = pull_s
         self.restart()
 
     def restart(self) -> None:
@@ -64,7 +66,7 @@ class CarriedVertical:
             self.up = first.mean(axis=0) if len(first) else np.array([0.0, 0.0, 1.0])
         turns = _matrices(_prefix_products(_small_turns(-rate * TICK_S)))  # block's start -> now
         age = (self._ticks + np.arange(n)) * TICK_S
-        gain = use * TICK_S / np.minimum(PULL_S, FIRST_PULL_S + age)
+        gain = use * TICK_S / np.minimum(self._pull_s, FIRST_PULL_S + age)
         kept = np.cumprod(1.0 - gain)
         back = turns.transpose(0, 2, 1)
         pulled = (back @ pull[:, :, None])[:, :, 0]

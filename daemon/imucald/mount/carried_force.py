@@ -3,8 +3,8 @@ far.
 
 The specific force is f_s = R^T m + g u + b, with u the vertical in sensor axes, m the motion
 (dv/dt, v r, -v q) and b the accelerometer's zero error. The vertical is integrated with the
-gyroscope (`drive.vertical`). The tests for faults and for a moved sensor compare the force without
-gravity, and the turn rate, with the motion that the vehicle's signals show.
+gyroscope (`gravity_observer`). The tests for faults and for a moved sensor compare the force
+without gravity, and the turn rate, with the motion that the vehicle's signals show.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from imucald.core.arrays import Array
 from imucald.core.rotations import Matrix3, levelling_rotation, rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.drive.roads import road_slopes, road_weight
-from imucald.drive.vertical import CarriedVertical
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.joint.evidence import Evidence
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
@@ -107,7 +107,7 @@ class CarriedForce:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self.vertical = CarriedVertical()
+        self.vertical = GravityObserver()
         self.gravity = MeanGravity()
         self.own_gyro = True
         self.turn_rate: Array = np.zeros(BLOCK_TICKS)
@@ -172,17 +172,11 @@ class CarriedForce:
     def _without_gravity(self, p: SignalBlock, turn: Array) -> Array:
         """Integrate the vertical through a block, and return f_s - b - g u (N, 3). turn: (N,) v r
         [m/s^2]."""
-        force, use = p.force - self.bias, p.learn
-        still = force
+        motion = None
         if self.R is not None and p.has_speed:
-            use = p.learn & (p.ok_speed | p.rest)  # without a speed, the motion is unknown
             a, b = self.gains
-            motion = np.column_stack([a * p.accel, b * turn]) * p.ok_speed[:, None]
-            still = force - motion @ self.R[:2]
-        if self.vertical.up is None and not use.any():
-            return force
-        up, _ = self.vertical.block(p.rate * p.ok_rate[:, None], still / GRAVITY, use)
-        return np.asarray(force - GRAVITY * up)
+            motion = np.column_stack([a * p.accel, b * turn]) * p.ok_speed[:, None] @ self.R[:2]
+        return self.vertical.advance(p, motion, self.bias)
 
     def levelled(self, zero_std: float) -> tuple[Matrix3, Array] | None:
         """Return the rotation from gravity alone and its variances about x and y, or None before
