@@ -162,8 +162,9 @@ _SILENT = frozenset({"accelerometer_missing", "gyroscope_missing"})
 def short(status: Mapping[str, Any], with_angles: bool = True) -> str:
     """Return the status as one line: the frames that are sent now, the angles, the missing
     evidence."""
-    parts = [flow(status).text, angles_line(status["mount"]) if with_angles else ""]
-    if flow(status).kind is not FlowKind.NONE:  # driving does not help while nothing flows
+    now = flow(status)
+    parts = [now.text, angles_line(status["mount"]) if with_angles else ""]
+    if now.kind is not FlowKind.NONE:  # driving does not help while nothing flows
         parts += [f"waiting for {who}: {text}" for who, text in reasons(status["waiting_for"])][:1]
         parts.append(progress_words(status.get("progress")))
     return "; ".join(filter(None, parts))

@@ -95,8 +95,9 @@ OPEN_BLOCKS = 20
 this time, the filter has absorbed the change.
 """
 MINUTE_BLOCKS = 10
-"""Number of blocks (a minute) that decide which conditions are missing. Numbers out of range remain
-reported as long. A condition that fails in a single block is usually met again soon.
+"""Number of blocks (a minute) that decide which conditions are missing, because a condition that
+fails in a single block is usually met soon after. Numbers out of range are reported for this time
+after their last occurrence.
 """
 FROZEN_TICKS = 40
 """Number of ticks of a block that are not trusted, from which learning counts as frozen."""
